@@ -1,0 +1,43 @@
+#pragma once
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "weft/registry.hpp"
+
+namespace weft::app {
+
+/// Options every command takes, and what commands need to run. A command registers a CLI11 subcommand and, when it was
+/// chosen, runs in `Context::action`; main prints errors and turns them into exit codes (0 done, 1 failed, 2 wrong use).
+struct Context {
+  std::vector<std::string> overrides;   ///< --set key.path=value
+  std::optional<std::uint64_t> seed;    ///< --seed
+  std::string out;                      ///< --out
+  int jobs = 0;                         ///< --jobs, 0: all cores
+  bool quiet = false;
+  bool json = false;
+  std::function<int()> action;
+
+  /// Loads CONFIG and applies --set and --seed.
+  ConfigNode load(const std::string& file) const;
+  /// Registry over `plugin_path` of the config, the environment and the default folders.
+  std::shared_ptr<const PluginRegistry> registry(const ConfigNode& config = {}) const;
+  std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed) const;
+  /// A line for people: nothing with --quiet or --json.
+  void say(const std::string& line) const;
+};
+
+/// Adds --set, --seed, --out, --jobs, --quiet and --json to a subcommand.
+void add_common_options(CLI::App& command, Context& context);
+
+// One per file cmd_*.cpp.
+void register_run(CLI::App& app, Context& context);
+void register_plugins(CLI::App& app, Context& context);
+void register_describe(CLI::App& app, Context& context);
+void register_conformance(CLI::App& app, Context& context);
+void register_garment(CLI::App& app, Context& context);
+void register_simulate(CLI::App& app, Context& context);
+
+}  // namespace weft::app

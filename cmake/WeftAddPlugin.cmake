@@ -1,0 +1,38 @@
+# weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
+#                 [CONFORMANCE file.yaml] [NO_CONFORMANCE_TEST])
+# Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
+# `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
+function(weft_add_plugin name)
+  cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;MARCH;CONFORMANCE" "SOURCES;LIBRARIES" ${ARGN})
+  if(NOT ARG_KIND MATCHES "^(simulator|predictor|trajectory|optimiser)$")
+    message(FATAL_ERROR "weft_add_plugin(${name}): KIND is '${ARG_KIND}', must be simulator, predictor, trajectory or optimiser")
+  endif()
+  set(target weft_${ARG_KIND}_${name})
+  add_library(${target} MODULE ${ARG_SOURCES})
+  target_link_libraries(${target} PRIVATE weft::framework ${ARG_LIBRARIES})
+  target_compile_features(${target} PRIVATE cxx_std_20)
+  set_target_properties(${target} PROPERTIES
+    PREFIX "lib" OUTPUT_NAME ${target} CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON
+    LIBRARY_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/${CMAKE_INSTALL_LIBDIR}/weft/plugins)
+  if(ARG_MARCH)
+    target_compile_options(${target} PRIVATE -march=${ARG_MARCH})
+  endif()
+  if(COMMAND weft_compile_options)
+    weft_compile_options(${target})
+    set_target_properties(${target} PROPERTIES INSTALL_RPATH "$ORIGIN/../..")
+  endif()
+  if(ARG_CONFORMANCE)
+    # Tolerances live with the plugin: beside the library under the library's name.
+    add_custom_command(TARGET ${target} POST_BUILD COMMAND ${CMAKE_COMMAND} -E copy_if_different
+      ${CMAKE_CURRENT_SOURCE_DIR}/${ARG_CONFORMANCE} $<TARGET_FILE_DIR:${target}>/lib${target}.conformance.yaml)
+  endif()
+  if(NOT ARG_NO_INSTALL)
+    install(TARGETS ${target} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}/weft/plugins)
+    if(ARG_CONFORMANCE)
+      install(FILES ${ARG_CONFORMANCE} DESTINATION ${CMAKE_INSTALL_LIBDIR}/weft/plugins RENAME lib${target}.conformance.yaml)
+    endif()
+  endif()
+  if(NOT ARG_NO_CONFORMANCE_TEST AND BUILD_TESTING)
+    add_test(NAME conformance.${ARG_KIND}.${name} COMMAND weft::weft conformance $<TARGET_FILE:${target}>)
+  endif()
+endfunction()

@@ -1,0 +1,32 @@
+#pragma once
+#include <cstdint>
+
+#include "weft/export.hpp"
+
+namespace weft {
+
+/// Counter-based random numbers (Philox 4x32-10, Salmon et al. 2011): the stream is a pure function of (seed, keys), so
+/// example 17 draws the same numbers whatever ran before it and on whichever thread. Cheap to make and to copy.
+class WEFT_API RandomStream {
+ public:
+  explicit RandomStream(std::uint64_t seed, std::uint64_t key_a = 0, std::uint64_t key_b = 0);
+  /// An independent stream below this one.
+  RandomStream child(std::uint64_t key) const;
+  std::uint32_t bits();
+  std::uint64_t bits64();
+  double uniform();  ///< [0, 1), 53 bits
+  double uniform(double low, double high) { return low + (high - low) * uniform(); }
+  double normal();                         ///< mean 0, sd 1 (Box-Muller)
+  std::uint64_t below(std::uint64_t n);    ///< uniform in [0, n), n > 0, unbiased
+
+ private:
+  std::uint64_t key_;
+  std::uint64_t stream_;
+  std::uint64_t counter_ = 0;
+  std::uint32_t block_[4] = {};
+  int used_ = 4;
+  double spare_ = 0.0;
+  bool has_spare_ = false;
+};
+
+}  // namespace weft
