@@ -1,6 +1,6 @@
 # Warnings, sanitizers and determinism flags for weft's own targets (not for its users').
 function(weft_compile_options target)
-  target_compile_options(${target} PRIVATE -Wall -Wextra -Wshadow -Wnon-virtual-dtor -ffp-contract=off)
+  target_compile_options(${target} PRIVATE -Wall -Wextra -Wno-missing-field-initializers -Wshadow -Wnon-virtual-dtor -ffp-contract=off)
   if(WEFT_WERROR)
     target_compile_options(${target} PRIVATE -Werror)
   endif()

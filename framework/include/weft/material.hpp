@@ -77,8 +77,8 @@ struct PropertyRange {
   double low = 0.0;
   double high = 1.0;
   bool logarithmic = false;
-  double at(double q) const;       ///< value for q in [0, 1]
-  double inverse(double v) const;  ///< q for a value; may lie outside [0, 1]
+  WEFT_API double at(double q) const;       ///< value for q in [0, 1]
+  WEFT_API double inverse(double v) const;  ///< q for a value; may lie outside [0, 1]
 };
 
 /// The paper's material space (section 3): a nominal fabric, and what each property does to it.

@@ -1,0 +1,84 @@
+#include <algorithm>
+#include <cstdio>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "context.hpp"
+
+namespace weft::app {
+namespace {
+
+int list_plugins(const Context& context) {
+  const auto registry = context.registry();
+  const auto entries = registry->list();
+  if (context.json) {
+    auto array = nlohmann::ordered_json::array();
+    for (const auto& e : entries) {
+      array.push_back({{"kind", e.kind}, {"name", e.name}, {"version", e.version}, {"file", e.file.string()}, {"refusal", e.refusal}});
+    }
+    std::cout << array.dump(2) << '\n';
+    return 0;
+  }
+  for (const auto& e : entries) {
+    if (e.refusal.empty()) {
+      std::printf("%-11s %-14s %-8s %s\n", e.kind.c_str(), e.name.c_str(), e.version.c_str(), e.file.c_str());
+    } else {
+      std::printf("%s\n", e.refusal.c_str());
+    }
+  }
+  if (entries.empty()) {
+    std::string folders;
+    for (const auto& folder : PluginRegistry::default_search_path()) folders += " " + folder.string();
+    std::printf("no plugin in%s\n", folders.c_str());
+  }
+  return 0;
+}
+
+int describe(const Context& context, const std::string& name, bool markdown) {
+  const auto registry = context.registry();
+  const auto entry = registry->find(name);
+  const auto params = registry->params(entry);
+  if (context.json) {
+    auto array = nlohmann::ordered_json::array();
+    for (const auto& p : params) {
+      array.push_back({{"name", p.name}, {"type", p.type}, {"unit", p.unit}, {"range", p.range}, {"default", p.default_value}, {"text", p.text}});
+    }
+    std::cout << nlohmann::ordered_json{{"kind", entry.kind}, {"name", entry.name}, {"version", entry.version},
+                                        {"file", entry.file.string()}, {"params", array}}
+                     .dump(2)
+              << '\n';
+  } else if (markdown) {
+    std::cout << params_markdown(params);
+  } else {
+    std::printf("%s/%s %s  (%s)\n", entry.kind.c_str(), entry.name.c_str(), entry.version.c_str(), entry.file.c_str());
+    for (const auto& p : params) {
+      const std::string unit = p.unit.empty() ? "" : " " + p.unit;
+      std::printf("  %-26s %s%s, %s; default %s\n      %s\n", p.name.c_str(), p.type.c_str(), unit.c_str(), p.range.c_str(),
+                  p.default_value.empty() ? "(none)" : p.default_value.c_str(), p.text.c_str());
+    }
+    if (params.empty()) std::printf("  no parameters\n");
+  }
+  return 0;
+}
+
+}  // namespace
+
+void register_plugins(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("plugins", "List the plugins that load, and those that do not and why");
+  add_common_options(*command, context);
+  command->callback([&context] { context.action = [&context] { return list_plugins(context); }; });
+}
+
+void register_describe(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("describe", "Show a plugin's parameters with units, ranges and defaults");
+  add_common_options(*command, context);
+  auto name = std::make_shared<std::string>();
+  auto markdown = std::make_shared<bool>(false);
+  command->add_option("name", *name, "Plugin name, kind/name, or library file")->required();
+  command->add_flag("--markdown", *markdown, "As the table of the plugin's README");
+  command->callback([&context, name, markdown] {
+    context.action = [&context, name, markdown] { return describe(context, *name, *markdown); };
+  });
+}
+
+}  // namespace weft::app

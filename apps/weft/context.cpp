@@ -1,0 +1,63 @@
+#include "context.hpp"
+
+#include <csignal>
+#include <cstdio>
+#include <iostream>
+
+namespace weft::app {
+namespace {
+
+volatile bool interrupted = false;
+
+}  // namespace
+
+ConfigNode Context::load(const std::string& file) const {
+  ConfigNode config = ConfigNode::load(file);
+  for (const auto& assignment : overrides) config = apply_override(config, assignment);
+  if (seed) config = config.with("seed", ConfigNode::integer(static_cast<std::int64_t>(*seed)));
+  return config;
+}
+
+std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config) const {
+  std::vector<std::filesystem::path> folders;
+  if (const auto given = config.is_mapping() ? config.find("plugin_path") : std::nullopt) {
+    if (given->is_scalar()) folders.push_back(given->as_path());
+    for (std::size_t i = 0; given->is_sequence() && i < given->size(); ++i) folders.push_back((*given)[i].as_path());
+  }
+  return std::make_shared<PluginRegistry>(std::move(folders));
+}
+
+std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed) const {
+  std::signal(SIGINT, [](int) {
+    interrupted = true;
+    std::signal(SIGINT, SIG_DFL);  // a second ^C ends the program at once
+  });
+  HostOptions options;
+  options.threads = jobs;
+  options.seed = host_seed;
+  options.cancel = &interrupted;
+  options.log = [this](LogLevel level, const std::string& message) {
+    if (level == LogLevel::debug || (level == LogLevel::info && (quiet || json))) return;
+    const char* prefix = level == LogLevel::warning ? "warning: " : level == LogLevel::error ? "error: " : "";
+    std::fprintf(level == LogLevel::info ? stdout : stderr, "%s%s\n", prefix, message.c_str());
+    std::fflush(level == LogLevel::info ? stdout : stderr);
+  };
+  return make_host(std::move(plugins), options);
+}
+
+void Context::say(const std::string& line) const {
+  if (!quiet && !json) std::cout << line << std::endl;
+}
+
+void add_common_options(CLI::App& command, Context& context) {
+  command.add_option("--set", context.overrides, "Replace a value of the config: key.path=value (repeatable)")
+      ->allow_extra_args(false)
+      ->type_name("KEY=VALUE");
+  command.add_option("--seed", context.seed, "Seed of everything random");
+  command.add_option("--out", context.out, "Output folder or file");
+  command.add_option("--jobs", context.jobs, "Threads; 0: all cores")->check(CLI::Range(0, 1024));
+  command.add_flag("--quiet", context.quiet, "Print nothing but errors");
+  command.add_flag("--json", context.json, "Print the result as JSON");
+}
+
+}  // namespace weft::app

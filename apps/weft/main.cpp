@@ -1,0 +1,38 @@
+#include <cstdio>
+#include <exception>
+
+#include "context.hpp"
+#include "weft_commit.hpp"
+
+/// `weft`: parses the command line, runs one command, turns errors into exit codes (0 done, 1 failed, 2 wrong use).
+int main(int argc, char** argv) {
+  using namespace weft;
+  using namespace weft::app;
+  CLI::App app{"weft: plans how two hands fold a piece of cloth whose fabric they do not know"};
+  app.require_subcommand(1);
+  app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (" WEFT_COMMIT ")"));
+  Context context;
+  register_run(app, context);
+  register_simulate(app, context);
+  register_garment(app, context);
+  register_conformance(app, context);
+  register_plugins(app, context);
+  register_describe(app, context);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : 2;
+  }
+  try {
+    return context.action();
+  } catch (const ConfigError& error) {
+    std::fprintf(stderr, "error: %s\n", error.what());
+    return 2;
+  } catch (const PluginError& error) {
+    std::fprintf(stderr, "error: %s\n", error.what());
+    return 2;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "error: %s\n", error.what());
+    return 1;
+  }
+}
