@@ -35,6 +35,10 @@ enum class Moments { mean, mean_and_sigma };
 struct PredictionRequest {
   Moments moments = Moments::mean_and_sigma;
   bool gradients = false;  ///< keep what pullback() needs
+  // Which inputs pullback() is to differentiate; the others come back as zeros. Matters to predictors whose gradients cost
+  // one simulation per input.
+  bool control_gradients = true;
+  bool knowledge_gradients = true;
 };
 
 /// s-hat: independent normal distribution per vertex and axis (section 2.3). sigma is a standard deviation.

@@ -1,0 +1,59 @@
+#pragma once
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "weft/error.hpp"
+#include "weft/types.hpp"
+
+namespace weft {
+
+/// An HDF5 file of plain arrays and texts. One object is used by one thread; the HDF5 library itself is locked inside.
+/// Paths are "/group/name"; groups are made as needed. @throws Error naming file and path.
+class WEFT_API Hdf5File {
+ public:
+  /// A writer fills a temporary file beside `file`, which commit() renames: the file is whole or absent.
+  static Hdf5File create(const std::filesystem::path& file);
+  /// @throws ConfigError when it is no HDF5 file or is damaged.
+  static Hdf5File open(const std::filesystem::path& file);
+  Hdf5File(Hdf5File&&) noexcept;
+  Hdf5File& operator=(Hdf5File&&) noexcept;
+  ~Hdf5File();  ///< a writer that was not committed leaves nothing
+
+  /// Row-major data of the given shape; chunked and compressed when large.
+  void write(const std::string& path, const std::vector<Index>& shape, const double* data);
+  void write(const std::string& path, const std::vector<Index>& shape, const float* data);
+  void write(const std::string& path, const std::vector<Index>& shape, const std::int64_t* data);
+  void write(const std::string& path, const std::string& text);
+  template <class Derived>
+  void write(const std::string& path, const Eigen::PlainObjectBase<Derived>& array) {
+    using RowMajor = Eigen::Matrix<typename Derived::Scalar, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    const RowMajor copy = array;
+    if constexpr (Derived::ColsAtCompileTime == 1) {
+      write(path, {copy.rows()}, copy.data());
+    } else {
+      write(path, {copy.rows(), copy.cols()}, copy.data());
+    }
+  }
+  void commit();
+
+  bool has(const std::string& path) const;
+  std::vector<std::string> list(const std::string& group) const;  ///< names in a group, sorted
+  std::vector<Index> shape(const std::string& path) const;
+  /// Converted from whatever number type is stored. Refuses arrays above `max_elements` before allocating.
+  std::vector<double> read(const std::string& path, std::size_t max_elements = 1u << 30) const;
+  std::vector<float> read_float(const std::string& path, std::size_t max_elements = 1u << 30) const;
+  std::vector<std::int64_t> read_int(const std::string& path, std::size_t max_elements = 1u << 30) const;
+  std::string read_text(const std::string& path) const;
+  /// [n, 3] array. @throws ConfigError if it has another shape or holds a non-finite number.
+  Positions read_positions(const std::string& path) const;
+
+ private:
+  struct Impl;
+  explicit Hdf5File(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace weft

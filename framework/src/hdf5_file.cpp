@@ -1,0 +1,250 @@
+#include "weft/hdf5_file.hpp"
+
+#include <hdf5.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <mutex>
+
+namespace weft {
+namespace {
+
+namespace fs = std::filesystem;
+
+// Debian's serial HDF5 is not built thread-safe; weft opens files from several threads.
+std::recursive_mutex& library_mutex() {
+  static std::recursive_mutex mutex;
+  return mutex;
+}
+using Lock = std::lock_guard<std::recursive_mutex>;
+
+/// Owns an HDF5 identifier.
+class Handle {
+ public:
+  Handle(hid_t id, herr_t (*close)(hid_t)) : id_(id), close_(close) {}
+  ~Handle() {
+    if (id_ >= 0) close_(id_);
+  }
+  Handle(const Handle&) = delete;
+  Handle& operator=(const Handle&) = delete;
+  operator hid_t() const { return id_; }
+  bool good() const { return id_ >= 0; }
+
+ private:
+  hid_t id_;
+  herr_t (*close_)(hid_t);
+};
+
+constexpr hsize_t kChunkBytes = 1 << 20;
+
+}  // namespace
+
+struct Hdf5File::Impl {
+  fs::path file, temporary;
+  hid_t id = -1;
+  bool is_writer = false;
+
+  ~Impl() {
+    const Lock lock(library_mutex());
+    if (id >= 0) H5Fclose(id);
+    std::error_code ignored;
+    if (is_writer && !temporary.empty()) fs::remove(temporary, ignored);
+  }
+  [[noreturn]] void fail(const std::string& path, const std::string& message) const {
+    throw ConfigError(file.string() + ": " + path + " " + message);
+  }
+  hid_t open_dataset(const std::string& path) const {
+    const hid_t set = exists(path) ? H5Dopen2(id, path.c_str(), H5P_DEFAULT) : -1;
+    if (set < 0) fail(path, "is missing");
+    return set;
+  }
+  bool exists(const std::string& path) const {
+    // Every step of the path must exist before the next may be asked for.
+    for (std::size_t slash = path.find('/', 1);; slash = path.find('/', slash + 1)) {
+      if (H5Lexists(id, path.substr(0, slash).c_str(), H5P_DEFAULT) <= 0) return false;
+      if (slash == std::string::npos) return true;
+    }
+  }
+  std::vector<Index> shape(hid_t set, const std::string& path) const {
+    const Handle space(H5Dget_space(set), H5Sclose);
+    if (H5Sget_simple_extent_type(space) != H5S_SIMPLE) return {};
+    const int rank = H5Sget_simple_extent_ndims(space);
+    if (rank < 0 || rank > 8) fail(path, "has a rank that is not supported");
+    std::vector<hsize_t> dims(static_cast<std::size_t>(rank));
+    H5Sget_simple_extent_dims(space, dims.data(), nullptr);
+    return {dims.begin(), dims.end()};
+  }
+  template <class T>
+  std::vector<T> read(const std::string& path, hid_t type, std::size_t max_elements) const {
+    const Lock lock(library_mutex());
+    const Handle set(open_dataset(path), H5Dclose);
+    const Handle stored(H5Dget_type(set), H5Tclose);
+    const auto kind = H5Tget_class(stored);
+    if (kind != H5T_INTEGER && kind != H5T_FLOAT) fail(path, "is no array of numbers");
+    std::size_t count = 1;
+    for (const Index n : shape(set, path)) {
+      if (n != 0 && count > max_elements / static_cast<std::size_t>(n)) fail(path, "is larger than this program reads");
+      count *= static_cast<std::size_t>(n);
+    }
+    std::vector<T> values(count);
+    if (count > 0 && H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()) < 0) fail(path, "cannot be read; the file is damaged");
+    return values;
+  }
+  void write(const std::string& path, const std::vector<Index>& dims, hid_t type, std::size_t size, const void* data) {
+    const Lock lock(library_mutex());
+    std::vector<hsize_t> extent(dims.begin(), dims.end());
+    hsize_t count = 1;
+    for (const hsize_t n : extent) count *= n;
+    const Handle space(H5Screate_simple(static_cast<int>(extent.size()), extent.data(), nullptr), H5Sclose);
+    const Handle links(H5Pcreate(H5P_LINK_CREATE), H5Pclose);
+    H5Pset_create_intermediate_group(links, 1);
+    const Handle options(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
+    H5Pset_obj_track_times(options, false);  // same content, same bytes
+    if (count * size > 4096 && !extent.empty()) {
+      auto chunk = extent;
+      const hsize_t row = std::max<hsize_t>(1, count / extent[0]) * size;
+      chunk[0] = std::clamp<hsize_t>(kChunkBytes / row, 1, extent[0]);
+      H5Pset_chunk(options, static_cast<int>(chunk.size()), chunk.data());
+      H5Pset_shuffle(options);
+      H5Pset_deflate(options, 4);
+    }
+    const Handle set(H5Dcreate2(id, path.c_str(), type, space, links, options, H5P_DEFAULT), H5Dclose);
+    if (!set.good() || (count > 0 && H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0)) {
+      throw Error(file.string() + ": " + path + " cannot be written (disk full, or written twice)");
+    }
+  }
+};
+
+Hdf5File::Hdf5File(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+Hdf5File::Hdf5File(Hdf5File&&) noexcept = default;
+Hdf5File& Hdf5File::operator=(Hdf5File&&) noexcept = default;
+Hdf5File::~Hdf5File() = default;
+
+Hdf5File Hdf5File::create(const fs::path& file) {
+  const Lock lock(library_mutex());
+  H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
+  auto impl = std::make_unique<Impl>();
+  impl->file = file;
+  impl->temporary = file.string() + ".tmp" + std::to_string(getpid());
+  impl->is_writer = true;
+  impl->id = H5Fcreate(impl->temporary.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
+  if (impl->id < 0) throw Error(file.string() + ": cannot be written");
+  return Hdf5File(std::move(impl));
+}
+
+Hdf5File Hdf5File::open(const fs::path& file) {
+  const Lock lock(library_mutex());
+  H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
+  std::error_code ignored;
+  if (!fs::exists(file, ignored)) throw ConfigError(file.string() + ": does not exist");
+  auto impl = std::make_unique<Impl>();
+  impl->file = file;
+  impl->id = H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT);
+  if (impl->id < 0) throw ConfigError(file.string() + ": is no HDF5 file, or is damaged");
+  return Hdf5File(std::move(impl));
+}
+
+void Hdf5File::write(const std::string& path, const std::vector<Index>& shape, const double* data) {
+  impl_->write(path, shape, H5T_NATIVE_DOUBLE, sizeof(double), data);
+}
+void Hdf5File::write(const std::string& path, const std::vector<Index>& shape, const float* data) {
+  impl_->write(path, shape, H5T_NATIVE_FLOAT, sizeof(float), data);
+}
+void Hdf5File::write(const std::string& path, const std::vector<Index>& shape, const std::int64_t* data) {
+  impl_->write(path, shape, H5T_NATIVE_INT64, sizeof(std::int64_t), data);
+}
+
+void Hdf5File::write(const std::string& path, const std::string& text) {
+  const Lock lock(library_mutex());
+  const Handle type(H5Tcopy(H5T_C_S1), H5Tclose);
+  H5Tset_size(type, std::max<std::size_t>(1, text.size()));
+  H5Tset_cset(type, H5T_CSET_UTF8);
+  const Handle space(H5Screate(H5S_SCALAR), H5Sclose);
+  const Handle links(H5Pcreate(H5P_LINK_CREATE), H5Pclose);
+  H5Pset_create_intermediate_group(links, 1);
+  const Handle options(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
+  H5Pset_obj_track_times(options, false);
+  const Handle set(H5Dcreate2(impl_->id, path.c_str(), type, space, links, options, H5P_DEFAULT), H5Dclose);
+  if (!set.good() || H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.empty() ? "\0" : text.data()) < 0) {
+    throw Error(impl_->file.string() + ": " + path + " cannot be written");
+  }
+}
+
+void Hdf5File::commit() {
+  const Lock lock(library_mutex());
+  if (!impl_->is_writer || impl_->id < 0) throw Error(impl_->file.string() + ": nothing to commit");
+  const bool good = H5Fflush(impl_->id, H5F_SCOPE_GLOBAL) >= 0;
+  const bool closed = H5Fclose(impl_->id) >= 0;
+  impl_->id = -1;
+  if (!good || !closed) throw Error(impl_->file.string() + ": cannot be written (disk full?)");
+  fs::rename(impl_->temporary, impl_->file);
+  impl_->temporary.clear();
+}
+
+bool Hdf5File::has(const std::string& path) const {
+  const Lock lock(library_mutex());
+  return impl_->exists(path);
+}
+
+std::vector<std::string> Hdf5File::list(const std::string& group) const {
+  const Lock lock(library_mutex());
+  std::vector<std::string> names;
+  const Handle handle(H5Gopen2(impl_->id, group.c_str(), H5P_DEFAULT), H5Gclose);
+  if (!handle.good()) impl_->fail(group, "is missing");
+  H5G_info_t info{};
+  H5Gget_info(handle, &info);
+  for (hsize_t i = 0; i < info.nlinks; ++i) {
+    const auto size = H5Lget_name_by_idx(handle, ".", H5_INDEX_NAME, H5_ITER_INC, i, nullptr, 0, H5P_DEFAULT);
+    if (size < 0) impl_->fail(group, "cannot be listed; the file is damaged");
+    std::string name(static_cast<std::size_t>(size) + 1, '\0');
+    H5Lget_name_by_idx(handle, ".", H5_INDEX_NAME, H5_ITER_INC, i, name.data(), name.size(), H5P_DEFAULT);
+    name.pop_back();
+    names.push_back(std::move(name));
+  }
+  return names;
+}
+
+std::vector<Index> Hdf5File::shape(const std::string& path) const {
+  const Lock lock(library_mutex());
+  const Handle set(impl_->open_dataset(path), H5Dclose);
+  return impl_->shape(set, path);
+}
+
+std::vector<double> Hdf5File::read(const std::string& path, std::size_t max_elements) const {
+  return impl_->read<double>(path, H5T_NATIVE_DOUBLE, max_elements);
+}
+std::vector<float> Hdf5File::read_float(const std::string& path, std::size_t max_elements) const {
+  return impl_->read<float>(path, H5T_NATIVE_FLOAT, max_elements);
+}
+std::vector<std::int64_t> Hdf5File::read_int(const std::string& path, std::size_t max_elements) const {
+  return impl_->read<std::int64_t>(path, H5T_NATIVE_INT64, max_elements);
+}
+
+std::string Hdf5File::read_text(const std::string& path) const {
+  const Lock lock(library_mutex());
+  const Handle set(impl_->open_dataset(path), H5Dclose);
+  const Handle type(H5Dget_type(set), H5Tclose);
+  const Handle space(H5Dget_space(set), H5Sclose);
+  constexpr std::size_t kLongest = 64u << 20;
+  if (H5Tget_class(type) != H5T_STRING || H5Tis_variable_str(type) > 0 || H5Sget_simple_extent_npoints(space) != 1 ||
+      H5Tget_size(type) > kLongest) {
+    impl_->fail(path, "is no text");
+  }
+  std::string text(H5Tget_size(type), '\0');
+  if (H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.data()) < 0) impl_->fail(path, "cannot be read; the file is damaged");
+  text.resize(text.find_last_not_of('\0') + 1);
+  return text;
+}
+
+Positions Hdf5File::read_positions(const std::string& path) const {
+  const auto dims = shape(path);
+  if (dims.size() != 2 || dims[1] != 3) impl_->fail(path, "must have the shape [n, 3]");
+  const auto values = read(path);
+  for (const double value : values) {
+    if (!std::isfinite(value)) impl_->fail(path, "holds a number that is not finite");
+  }
+  return Eigen::Map<const Positions>(values.data(), dims[0], 3);
+}
+
+}  // namespace weft
