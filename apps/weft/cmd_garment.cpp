@@ -1,0 +1,169 @@
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "context.hpp"
+#include "weft/garment_generator.hpp"
+
+namespace weft::app {
+namespace {
+
+/// Turns the fields of a size struct into options: sleeve_length_m becomes --sleeve-length, in metres.
+struct OptionVisitor {
+  CLI::App& command;
+  void operator()(const char* name, double& value, const Range& allowed, const char* text) const {
+    std::string option = name;
+    for (const char* unit : {"_m", "_deg"}) {
+      const std::string suffix = unit;
+      if (option.size() > suffix.size() && option.compare(option.size() - suffix.size(), suffix.size(), suffix) == 0) {
+        option.resize(option.size() - suffix.size());
+        break;
+      }
+    }
+    for (char& c : option) c = c == '_' ? '-' : c;
+    command.add_option("--" + option, value, std::string(text) + " [" + allowed.unit + "]")
+        ->check(CLI::Range(allowed.lower, allowed.upper))
+        ->capture_default_str();
+  }
+};
+
+struct Request {
+  std::string kind;
+  std::function<Outline()> outline;
+  MeshSize size;
+  std::vector<std::string> fine_lines;
+  bool yaml = false;
+  std::string command_line;  ///< that makes the same files again, without folders
+};
+
+MeshSize::Line parse_line(const std::string& text) {
+  double x0 = 0, y0 = 0, x1 = 0, y1 = 0;
+  int used = 0;
+  if (std::sscanf(text.c_str(), "%lf,%lf,%lf,%lf%n", &x0, &y0, &x1, &y1, &used) != 4 ||
+      static_cast<std::size_t>(used) != text.size() || !Vec2(x0, y0).allFinite() || !Vec2(x1, y1).allFinite()) {
+    throw ConfigError("--fine-line = " + text + ", must be x0,y0,x1,y1 in metres");
+  }
+  return {Vec2(x0, y0), Vec2(x1, y1)};
+}
+
+void write_yaml(const std::filesystem::path& path, const Request& request, const GeneratedMesh& result,
+                const std::string& mesh_file) {
+  std::ofstream out(path);
+  char line[200];
+  std::snprintf(line, sizeof line, "# %ld vertices, %ld faces, smallest angle %.1f deg, edges %.1f to %.1f mm\n",
+                static_cast<long>(result.mesh.positions.rows()), static_cast<long>(result.mesh.faces.rows()),
+                result.quality.min_angle_deg, result.quality.edge_min_m * 1e3, result.quality.edge_max_m * 1e3);
+  out << "# Made by: " << request.command_line << '\n' << line;
+  std::vector<std::pair<std::string, ConfigNode>> vertices;
+  for (const auto& [name, index] : result.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
+  out << ConfigNode::mapping({{"name", ConfigNode::scalar(request.kind)},
+                              {"mesh", ConfigNode::scalar(mesh_file)},
+                              {"vertices", ConfigNode::mapping(std::move(vertices))}})
+             .to_yaml();
+  out.flush();
+  if (!out) throw Error(path.string() + ": cannot be written");
+}
+
+int run_garment(const Context& context, Request request) {
+  if (!context.overrides.empty()) throw ConfigError("weft garment reads no config, so --set has nothing to change");
+  if (context.out.empty()) throw ConfigError("weft garment: --out FILE.obj is required");
+  std::filesystem::path mesh_path = context.out;
+  if (mesh_path.extension() != ".obj") throw ConfigError("--out = " + context.out + ", must end in .obj");
+  for (const auto& line : request.fine_lines) request.size.fine_lines.push_back(parse_line(line));
+  if (request.size.fine_edge_m > 0.0 && request.size.fine_lines.empty()) {
+    request.size.fine_lines.push_back({Vec2(0.0, -10.0), Vec2(0.0, 10.0)});
+  }
+  GeneratedMesh result = generate_mesh(request.outline(), request.size);
+  if (mesh_path.has_parent_path()) std::filesystem::create_directories(mesh_path.parent_path());
+  write_obj(mesh_path, result.mesh);
+  if (request.yaml) {
+    write_yaml(std::filesystem::path(mesh_path).replace_extension(".yaml"), request, result,
+               mesh_path.filename().string());
+  }
+
+  const MeshQuality& q = result.quality;
+  if (context.json) {
+    nlohmann::ordered_json json{{"vertices", result.mesh.positions.rows()},
+                                {"faces", result.mesh.faces.rows()},
+                                {"min_angle_deg", q.min_angle_deg},
+                                {"max_angle_deg", q.max_angle_deg},
+                                {"edge_m", {{"min", q.edge_min_m}, {"median", q.edge_median_m}, {"max", q.edge_max_m}}},
+                                {"area_m2", q.area_m2},
+                                {"named", result.vertices}};
+    std::cout << json.dump(2) << '\n';
+    return 0;
+  }
+  char text[256];
+  std::snprintf(
+      text, sizeof text,
+      "%s: %ld vertices, %ld faces, area %.4f m2\nangles %.1f to %.1f deg\nedges min %.2f, median %.2f, max %.2f mm",
+      context.out.c_str(), static_cast<long>(result.mesh.positions.rows()), static_cast<long>(result.mesh.faces.rows()),
+      q.area_m2, q.min_angle_deg, q.max_angle_deg, q.edge_min_m * 1e3, q.edge_median_m * 1e3, q.edge_max_m * 1e3);
+  context.say(text);
+  return 0;
+}
+
+/// The options that were given, as they were, but for the folder of --out.
+std::string recorded_command(const CLI::App& command, const std::string& kind) {
+  std::string line = "weft garment " + kind;
+  for (const CLI::Option* option : command.get_options()) {
+    if (option->count() == 0 || option->get_name() == "--help" || option->get_name() == "--quiet" ||
+        option->get_name() == "--json") {
+      continue;
+    }
+    for (const std::string& value : option->results()) {
+      line += ' ' + option->get_name();
+      if (option->get_name() == "--yaml") break;
+      line += ' ' + (option->get_name() == "--out" ? std::filesystem::path(value).filename().string() : value);
+    }
+  }
+  return line;
+}
+
+template <class Size>
+void add_kind(CLI::App& garment, Context& context, const std::string& kind, const std::string& text,
+              const Size& defaults, Outline (*outline)(const Size&)) {
+  CLI::App* command = garment.add_subcommand(kind, text);
+  add_common_options(*command, context);
+  auto size = std::make_shared<Size>(defaults);
+  auto request = std::make_shared<Request>();
+  request->kind = kind;
+  request->outline = [size, outline] { return outline(*size); };
+  OptionVisitor visitor{*command};
+  size->visit(visitor);
+  command->add_option("--edge", request->size.edge_m, "Edge length [m]")
+      ->check(CLI::Range(1e-4, 1.0))
+      ->capture_default_str();
+  command->add_option("--fine", request->size.fine_edge_m, "Edge length near the fine lines [m]; 0: uniform")
+      ->check(CLI::Range(0.0, 1.0));
+  command
+      ->add_option("--fine-band", request->size.fine_band_m, "Distance to a fine line up to which edges are fine [m]")
+      ->check(CLI::Range(0.0, 10.0));
+  command
+      ->add_option("--fine-line", request->fine_lines,
+                   "x0,y0,x1,y1 [m]: where folds run (repeatable); default the vertical middle line")
+      ->allow_extra_args(false);
+  command->add_option("--growth", request->size.growth, "Growth of the edge length away from the band [m per m]")
+      ->check(CLI::Range(0.01, 1.0))
+      ->capture_default_str();
+  command->add_flag("--yaml", request->yaml, "Write the garment's YAML (named vertices) beside the mesh, too");
+  command->callback([&context, command, request, kind] {
+    request->command_line = recorded_command(*command, kind);
+    context.action = [&context, request] { return run_garment(context, *request); };
+  });
+}
+
+}  // namespace
+
+void register_garment(CLI::App& app, Context& context) {
+  CLI::App* garment =
+      app.add_subcommand("garment", "Generate a flat garment mesh: weft garment tshirt --out FILE.obj --yaml");
+  garment->require_subcommand(1);
+  add_kind<TowelSize>(*garment, context, "towel", "A rectangle", {}, towel_outline);
+  add_kind<ShirtSize>(*garment, context, "tshirt", "A shirt with short sleeves", {}, shirt_outline);
+  add_kind<ShirtSize>(*garment, context, "long_sleeve", "A shirt with long sleeves", long_sleeve_size(), shirt_outline);
+  add_kind<TrousersSize>(*garment, context, "trousers", "Trousers", {}, trousers_outline);
+}
+
+}  // namespace weft::app
