@@ -1,0 +1,59 @@
+#include "output.hpp"
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "weft_commit.hpp"
+
+namespace weft::app {
+
+namespace fs = std::filesystem;
+
+fs::path output_folder(const Context& context, const std::string& name) {
+  const fs::path folder = context.out.empty() ? fs::path("results") / name : fs::path(context.out);
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (!fs::is_directory(folder)) throw ConfigError("--out " + folder.string() + ": is not a folder that can be made: " + error.message());
+  return folder;
+}
+
+std::string provenance_json(const PluginRegistry& registry, const Host& host, std::uint64_t seed) {
+  auto plugins = nlohmann::ordered_json::array();
+  for (const auto& entry : registry.used()) {
+    plugins.push_back({{"kind", entry.kind}, {"name", entry.name}, {"version", entry.version}});
+  }
+  return nlohmann::ordered_json{{"weft", WEFT_VERSION},      {"commit", WEFT_COMMIT},
+                                {"compiler", __VERSION__},   {"seed", seed},
+                                {"threads", host.threads()}, {"cores", std::thread::hardware_concurrency()},
+                                {"plugins", plugins}}
+             .dump(2) +
+         "\n";
+}
+
+ConfigNode self_contained(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry, const fs::path& folder) {
+  const auto& garment = *task.garment;
+  write_obj(folder / "garment.obj", {garment.positions, garment.faces, garment.rest, garment.name}, true);
+  std::vector<std::pair<std::string, ConfigNode>> vertices;
+  for (const auto& [name, index] : garment.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
+  ConfigNode config = resolved.with("garment", ConfigNode::mapping({{"mesh", ConfigNode::quoted("garment.obj")},
+                                                                    {"name", ConfigNode::quoted(garment.name)},
+                                                                    {"vertices", ConfigNode::mapping(vertices)}}));
+  config = config.with("material", write_material_space(task.material));
+  for (const char* kind : {Simulator::kKind, Predictor::kKind, Trajectory::kKind, "optimiser"}) {
+    const auto slot = config.find(kind);
+    if (slot && !slot->is_null()) config = config.with(kind, registry.resolve(kind, *slot));
+  }
+  return config;
+}
+
+void write_text(const fs::path& file, const std::string& text) {
+  const fs::path temporary = file.string() + ".tmp";
+  std::ofstream stream(temporary, std::ios::binary);
+  stream << text;
+  stream.close();
+  if (!stream) throw Error(file.string() + ": cannot be written");
+  fs::rename(temporary, file);
+}
+
+}  // namespace weft::app

@@ -1,0 +1,149 @@
+#pragma once
+#include <filesystem>
+#include <functional>
+#include <string>
+
+#include "weft/planner.hpp"
+#include "weft/random_controls.hpp"
+#include "weft/task.hpp"
+
+namespace weft {
+
+/// What is seen of the cloth at the end of a segment.
+struct Observation {
+  Positions positions;                ///< [V, 3] m
+  std::vector<bool> observed;         ///< [V]; empty: all. Unobserved rows are filled from the last prediction
+  double time_s = 0.0;
+};
+
+/// Where a plan is carried out: a simulator, or a robot.
+class Environment {
+ public:
+  virtual ~Environment() = default;
+  virtual Observation observe() = 0;
+  /// Moves the held vertices along the segment. @throws Diverged and the like.
+  virtual void execute(const SegmentPath& path) = 0;
+  /// Lets go and waits until the cloth lies still.
+  virtual SettleResult release() = 0;
+};
+
+/// The first environment: a simulator with the true material. Records every frame it simulates.
+class WEFT_API SimulatorEnvironment final : public Environment {
+ public:
+  SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task, const MaterialProperties& material);
+  Observation observe() override;
+  void execute(const SegmentPath& path) override;
+  SettleResult release() override;
+  /// [frames][V * 3], single precision: what the page plays.
+  const std::vector<std::vector<float>>& frames() const { return frames_; }
+  double seconds() const { return seconds_; }
+  double max_grasp_strain() const { return max_grasp_strain_; }
+
+ private:
+  void record();
+  std::shared_ptr<Simulator> simulator_;
+  SettleCriterion settle_;
+  std::vector<std::vector<float>> frames_;
+  double seconds_ = 0.0;
+  double max_grasp_strain_ = 0.0;
+};
+
+/// Goal of a session: exactly one of the four.
+struct GoalParams {
+  std::filesystem::path obj;
+  std::filesystem::path example;
+  ConfigNode controls;
+  struct Random {
+    double min_distance_mm = 45.0;
+    std::int64_t attempts = 200;
+    RandomControlsParams distribution;
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("min_distance_mm", min_distance_mm, range(0, 1000, "mm"), "Least mean distance from what the default control gives.");
+      v("attempts", attempts, range(1, 100000), "Random trajectories to try before giving up.");
+      v.group("distribution", distribution, "The random trajectories.");
+    }
+  } random;
+  std::vector<double> material;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("obj", obj, "A mesh of the garment in its goal shape.");
+    v("example", example, "A recorded session (session.h5): its final shape.");
+    v("controls", controls, "Controls to simulate: a list of rows, or one row repeated until release.");
+    v.group("random", random, "A random trajectory's result; used when nothing else is given.");
+    v("material", material, range(0, 1), "Material under which controls are simulated; default: the true one.");
+  }
+};
+
+struct SessionParams {
+  TaskParams task;
+  ConfigNode predictor;
+  ConfigNode optimiser = ConfigNode::parse("{plugin: rprop}", "default");
+  PlannerParams planning;
+  GoalParams goal;
+  std::vector<double> true_material;
+  std::string knowledge = "true";
+  std::vector<double> given_centre, given_width;
+  std::int64_t max_segments = 40;
+  std::int64_t seed = 1;
+  std::int64_t threads = 0;
+  std::vector<std::string> plugin_path;
+  std::string description;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("description", description, "What this task is, for people.");
+    v("seed", seed, range(0, 9e18), "Seed of everything random.");
+    v("threads", threads, range(0, 1024), "Worker threads; 0: all cores.");
+    v("plugin_path", plugin_path, "Folders searched for plugins first.");
+    task.visit(v);
+    v("predictor", predictor, PluginSlot{"predictor"}, "Predictor plugin that plans are made with.");
+    v("optimiser", optimiser, PluginSlot{"optimiser"}, "Optimiser plugin.");
+    v.group("planning", planning, "Trajectory planning (section 4).");
+    v.group("goal", goal, "The shape to reach.");
+    v("true_material", true_material, range(0, 1), "q of the executed fold, [friction, bend, stretch, thickness]; default: drawn from the seed.");
+    v("knowledge", knowledge, choice({"none", "true", "given"}), "What the planner knows of the material.");
+    v("given_centre", given_centre, range(0, 1), "knowledge: given: c, [4].");
+    v("given_width", given_width, range(0, 1), "knowledge: given: w, [4].");
+    v("max_segments", max_segments, range(1, 1000, "segments"), "End the session here even when no plan reached release.");
+  }
+};
+
+/// One round: plan, execute one segment, observe.
+struct SessionRound {
+  Plan plan;
+  Vector state;                 ///< [S] before the segment
+  MaterialKnowledge knowledge;  ///< what the plan was made with
+  Positions observed;           ///< [V, 3] m, after the segment (settled if it was the last)
+};
+
+struct SessionResult {
+  std::vector<SessionRound> rounds;
+  Positions start, goal, final_shape, default_shape;  ///< [V, 3] m
+  Controls goal_controls;                             ///< [k, C] of a goal that was simulated, else 0 rows
+  MaterialProperties true_material = MaterialProperties::Zero();
+  double error_mm = 0.0, default_error_mm = 0.0;
+  bool released = false;
+  SettleResult settle;
+  double simulate_seconds = 0.0;
+  double max_grasp_strain = 0.0;
+  std::vector<std::vector<float>> frames;
+  std::vector<std::string> warnings;
+};
+
+/// Called after every round, for progress.
+using SessionProgress = std::function<void(const SessionRound&, Index round, double error_to_goal_mm)>;
+
+/// Runs one whole session: plan, execute one segment, observe, re-plan, ..., release, settle (section 4).
+/// @throws ConfigError, PluginError before any work starts; Error when planning or the simulation fails.
+WEFT_API SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host,
+                                   const SessionProgress& progress = {});
+
+/// summary.json: the keys of docs/file-formats.md.
+WEFT_API std::string session_summary_json(const SessionResult& result);
+/// session.h5. @param resolved the resolved config; @param provenance version, commit, plugins.
+WEFT_API void write_session(const std::filesystem::path& file, const SessionResult& result, const Task& task,
+                            const ConfigNode& resolved, const std::string& provenance);
+
+}  // namespace weft

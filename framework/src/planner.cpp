@@ -1,0 +1,244 @@
+#include "weft/planner.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+namespace weft {
+namespace {
+
+constexpr double kSquareMm = 1e6;  // m^2 to mm^2: losses are of order 1 to 1e4 then
+
+/// d progress / d state by central differences: progress is a smooth scalar of a handful of state variables, and its
+/// gradient is not worth a place in every trajectory plugin.
+Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
+  const auto variables = trajectory.state();
+  Vector gradient(state.size());
+  for (Index s = 0; s < state.size(); ++s) {
+    const double step = 1e-4 * variables[static_cast<std::size_t>(s)].scale;
+    Vector up = state, down = state;
+    up(s) += step;
+    down(s) -= step;
+    gradient(s) = (trajectory.progress(up) - trajectory.progress(down)) / (2.0 * step);
+  }
+  return gradient;
+}
+
+/// dL/d controls from dL/d state after every segment [k, S]: the chain of advance_pullback backwards through all frames.
+Controls states_pullback(const Task& task, const Vector& start, const Controls& controls, const Controls& d_states) {
+  const auto& trajectory = *task.trajectory;
+  Controls gradient = Controls::Zero(controls.rows(), controls.cols());
+  std::vector<Vector> states{start};
+  for (Index j = 0; j < controls.rows(); ++j) {
+    for (Index frame = 0; frame < kFramesPerSegment; ++frame) {
+      states.push_back(trajectory.advance(task.manipulation, states.back(), controls.row(j).transpose()));
+    }
+  }
+  Vector carried = Vector::Zero(start.size());
+  Vector d_state, d_control;
+  for (Index j = controls.rows() - 1; j >= 0; --j) {
+    carried += d_states.row(j).transpose();
+    for (Index frame = kFramesPerSegment - 1; frame >= 0; --frame) {
+      const auto& before = states[static_cast<std::size_t>(j * kFramesPerSegment + frame)];
+      trajectory.advance_pullback(task.manipulation, before, controls.row(j).transpose(), carried, d_state, d_control);
+      gradient.row(j) += d_control.transpose();
+      carried = d_state;
+    }
+  }
+  return gradient;
+}
+
+/// Eq. 4 on a batch of decision vectors.
+class PlanningObjective final : public Objective {
+ public:
+  PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params, const PlanRequest& request,
+                    Index horizon)
+      : task_(task), predictor_(predictor), params_(params), request_(request), horizon_(horizon) {}
+
+  Index dim() const override { return task_.trajectory->decision_size(horizon_); }
+  ObjectiveCapabilities capabilities() const override { return {.gradients = predictor_.capabilities().gradients}; }
+
+  Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
+    require_shape("planning objective: x rows", x.rows(), dim());
+    require_shape("planning objective: instances", static_cast<Index>(instances.size()), x.cols());
+    if (wanted.residuals) throw Unsupported("planning objective: offers no residuals");
+    if (wanted.gradients && !capabilities().gradients) throw Unsupported("planning objective: the predictor has no gradients");
+    const Index n = x.cols();
+    std::vector<PredictionCase> cases;
+    for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
+    const auto prediction = predictor_.predict(
+        cases, {.moments = Moments::mean, .gradients = wanted.gradients, .control_gradients = true, .knowledge_gradients = false});
+    evaluations_ += n;
+
+    Evaluation result;
+    result.costs.resize(n);
+    std::vector<std::vector<ShapeCotangent>> cotangents(static_cast<std::size_t>(n));
+    std::vector<Controls> d_activity(static_cast<std::size_t>(n));
+    for (Index i = 0; i < n; ++i) {
+      const auto at = static_cast<std::size_t>(i);
+      cotangents[at].resize(1);
+      if (!prediction->failure(at).empty()) {
+        result.costs(i) = std::numeric_limits<double>::infinity();
+        continue;
+      }
+      const Positions& mean = prediction->shapes()[at].front().mean;
+      const Positions difference = mean - *request_.goal;
+      const double weight = kSquareMm / static_cast<double>(difference.size());
+      const Index u = cases[at].segments.front();
+      const double activity = activity_loss(task_, request_.state, cases[at].controls, u, params_.slowness_weight,
+                                            wanted.gradients ? &d_activity[at] : nullptr);
+      result.costs(i) = weight * difference.squaredNorm() + params_.activity_weight * activity;
+      if (wanted.gradients) cotangents[at].front().mean = 2.0 * weight * difference;
+    }
+    if (wanted.gradients) {
+      const auto gradients = prediction->pullback(cotangents);
+      result.gradients = Matrix::Zero(dim(), n);
+      for (Index i = 0; i < n; ++i) {
+        const auto at = static_cast<std::size_t>(i);
+        if (!std::isfinite(result.costs(i))) continue;
+        const Controls total = gradients[at].controls + params_.activity_weight * d_activity[at];
+        result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
+      }
+    }
+    return result;
+  }
+
+  /// The case of one decision vector: only the shape after the release segment u (eq. 5) is asked for.
+  PredictionCase make_case(ConstVec x) const {
+    PredictionCase one{.shape = request_.shape, .previous = request_.previous, .state = request_.state};
+    one.controls = task_.trajectory->decode(x, horizon_, request_.state);
+    one.knowledge = request_.knowledge;
+    one.segments = {task_.trajectory->release_segment(task_.manipulation, request_.state, one.controls)};
+    return one;
+  }
+  Index evaluations() const { return evaluations_; }
+
+ private:
+  const Task& task_;
+  const Predictor& predictor_;
+  const PlannerParams& params_;
+  const PlanRequest& request_;
+  Index horizon_;
+  Index evaluations_ = 0;
+};
+
+}  // namespace
+
+double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
+                     Controls* gradient) {
+  const auto& trajectory = *task.trajectory;
+  const auto variables = trajectory.controls();
+  const Index horizon = controls.rows();
+  const Controls states = trajectory.segment_states(task.manipulation, state, controls);
+  Controls d_states = Controls::Zero(horizon, states.cols());
+  if (gradient) *gradient = Controls::Zero(horizon, controls.cols());
+  double loss = 0.0;
+  const double per_segment = 1.0 / static_cast<double>(u);
+  for (Index j = 0; j + 1 < u; ++j) {
+    for (Index c = 0; c < controls.cols(); ++c) {
+      const double scale = variables[static_cast<std::size_t>(c)].scale;
+      const double jump = (controls(j + 1, c) - controls(j, c)) / scale;
+      loss += per_segment * jump * jump;
+      if (gradient) {
+        (*gradient)(j + 1, c) += 2.0 * per_segment * jump / scale;
+        (*gradient)(j, c) -= 2.0 * per_segment * jump / scale;
+      }
+    }
+  }
+  // Progress still needed, spread over all b segments, is the pace below which a segment counts as slow.
+  const double remaining = std::max(1e-9, 1.0 - trajectory.progress(state));
+  const double pace = remaining / static_cast<double>(horizon);
+  for (Index j = 0; j < u; ++j) {
+    const Vector after = states.row(j).transpose();
+    const Vector before = j == 0 ? Vector(state) : Vector(states.row(j - 1).transpose());
+    const double slowness = 1.0 - (trajectory.progress(after) - trajectory.progress(before)) / pace;
+    if (slowness <= 0.0) continue;
+    loss += per_segment * slowness_weight * slowness * slowness;
+    if (gradient) {
+      const double d_progress = -2.0 * per_segment * slowness_weight * slowness / pace;
+      d_states.row(j) += d_progress * progress_gradient(trajectory, after).transpose();
+      if (j > 0) d_states.row(j - 1) -= d_progress * progress_gradient(trajectory, before).transpose();
+    }
+  }
+  if (gradient && !d_states.isZero(0.0)) *gradient += states_pullback(task, state, controls, d_states);
+  return loss;
+}
+
+Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor, std::shared_ptr<const Optimiser> optimiser,
+                 const PlannerParams& params, Host& host)
+    : task_(task), predictor_(std::move(predictor)), optimiser_(std::move(optimiser)), params_(params), host_(host) {
+  if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
+    throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
+  }
+  if (optimiser_->capabilities().needs_residuals) {
+    throw Unsupported("the optimiser needs residuals, which planning does not offer");
+  }
+}
+
+Plan Planner::plan(const PlanRequest& request) const {
+  const auto started = std::chrono::steady_clock::now();
+  const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count(); };
+  const auto& trajectory = *task_.trajectory;
+  const bool first = request.warm_start.rows() == 0;
+
+  Plan plan;
+  plan.horizon = first ? params_.horizon : request.warm_start.rows() + params_.leeway;
+  Controls start = trajectory.default_controls(plan.horizon);
+  if (!first) start.topRows(request.warm_start.rows()) = request.warm_start;
+
+  // Instance 0 starts from the plan itself; the others from the plan with noise of their own.
+  const Box bounds = trajectory.decision_bounds(plan.horizon);
+  const Vector scale = trajectory.decision_scale(plan.horizon);
+  const Vector centre = trajectory.encode(start, request.state);
+  const double noise = first ? params_.noise : params_.replan_noise;
+  Matrix starts(centre.size(), params_.instances);
+  for (Index i = 0; i < starts.cols(); ++i) {
+    RandomStream random = RandomStream(request.seed, 0x706c616eull, static_cast<std::uint64_t>(request.round))
+                              .child(static_cast<std::uint64_t>(i));
+    for (Index k = 0; k < starts.rows(); ++k) starts(k, i) = centre(k) + (i == 0 ? 0.0 : noise * scale(k) * random.normal());
+    starts.col(i) = bounds.clamp(starts.col(i));
+  }
+
+  PlanningObjective objective(task_, *predictor_, params_, request, plan.horizon);
+  OptimiserOptions options;
+  options.max_iterations = first ? params_.iterations : params_.replan_iterations;
+  options.seed = RandomStream(request.seed, 0x6f707469ull, static_cast<std::uint64_t>(request.round)).bits64();
+  const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
+  if (is_replay) options.max_iterations = static_cast<Index>(params_.replay_iterations[static_cast<std::size_t>(request.round)]);
+  const auto observer = [&](Index iteration, const Vector& best) {
+    plan.iterations = iteration;
+    plan.curves.emplace_back(best.data(), best.data() + best.size());
+    const bool in_time = is_replay || params_.time_budget_s <= 0.0 || elapsed() < params_.time_budget_s;
+    return in_time && !host_.cancelled();
+  };
+  const auto results = optimiser_->minimise(objective, starts, bounds, scale, options, observer);
+
+  plan.loss = std::numeric_limits<double>::infinity();
+  for (std::size_t i = 0; i < results.size(); ++i) {
+    plan.losses.push_back(results[i].cost);
+    if (results[i].cost < plan.loss) {
+      plan.loss = results[i].cost;
+      plan.instance = static_cast<Index>(i);
+    }
+  }
+  if (!std::isfinite(plan.loss)) throw Error("planning: no instance reached a finite loss: " + results.front().message);
+
+  // The winner, truncated after its release segment, with the whole predicted sequence.
+  PredictionCase winner = objective.make_case(results[static_cast<std::size_t>(plan.instance)].x);
+  const Index u = winner.segments.front();
+  winner.controls.conservativeResize(u, Eigen::NoChange);
+  winner.segments.clear();
+  for (Index j = 1; j <= u; ++j) winner.segments.push_back(j);
+  const auto prediction = predictor_->predict({winner}, {.moments = Moments::mean_and_sigma});
+  if (!prediction->failure(0).empty()) throw Error("planning: the chosen plan cannot be predicted: " + prediction->failure(0));
+  plan.shapes = prediction->shapes().front();
+  plan.controls = winner.controls;
+  const Controls states = trajectory.segment_states(task_.manipulation, request.state, plan.controls);
+  plan.releases = trajectory.released(states.row(u - 1).transpose());
+  plan.predicted_error_mm = mean_distance_mm(plan.shapes.back().mean, *request.goal);
+  plan.evaluations = objective.evaluations() + 1;
+  plan.seconds = elapsed();
+  return plan;
+}
+
+}  // namespace weft

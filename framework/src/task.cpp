@@ -1,0 +1,66 @@
+#include "weft/task.hpp"
+
+#include <cmath>
+
+namespace weft {
+
+Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
+  Task task;
+  task.garment = std::make_shared<const Garment>(read_garment(params.garment.is_null() ? origin.at("garment") : params.garment));
+  task.material = read_material_space(params.material.is_null() ? origin.at("material") : params.material);
+  task.trajectory = host.create<Trajectory>(params.trajectory);
+  task.simulator = params.simulator;
+  task.settle = {params.settle.speed_m_per_s, params.settle.hold_frames, params.settle.max_frames};
+  if (params.scene.gravity_m_per_s2.size() != 3) origin.fail("scene.gravity_m_per_s2 must be a list of 3 numbers, m/s^2");
+  task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
+
+  auto& manipulation = task.manipulation;
+  if (static_cast<Index>(params.manipulation.grasp.size()) != task.trajectory->hands()) {
+    origin.fail("manipulation.grasp names " + std::to_string(params.manipulation.grasp.size()) +
+                " vertices, the trajectory drives " + std::to_string(task.trajectory->hands()));
+  }
+  manipulation.grasp_points.resize(task.trajectory->hands(), 3);
+  for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {
+    manipulation.grasp_vertices.push_back(task.garment->vertex(params.manipulation.grasp[i]));
+    manipulation.grasp_points.row(static_cast<Index>(i)) = task.garment->positions.row(manipulation.grasp_vertices.back());
+  }
+  if (params.manipulation.displacement_m.size() != 2) {
+    origin.fail("manipulation.displacement_m must be a list of 2 numbers, m; `weft displacement` finds it for a garment");
+  }
+  manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
+  manipulation.drop_height = params.manipulation.drop_height_m;
+  // One path for every fabric: the targets clear the ground under the thickest one.
+  const auto& thickness = task.material.ranges[3];
+  manipulation.contact_height = task.scene.ground_height.value_or(0.0) + std::max(thickness.low, thickness.high);
+  manipulation.grasp_points.col(2).setConstant(manipulation.contact_height);
+  task.trajectory->initial_state(manipulation);  // refuses |d| = 0 and the like here, before any work
+  return task;
+}
+
+FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material, const Controls& controls) {
+  FoldResult result;
+  simulator.reset(task.garment, task.material.at(material), task.scene);
+  simulator.grasp(task.manipulation.grasp_vertices);
+  Vector state = task.trajectory->initial_state(task.manipulation);
+  result.states.resize(controls.rows() + 1, state.size());
+  result.states.row(0) = state.transpose();
+  result.shapes.push_back(simulator.positions());
+  for (Index j = 0; j < controls.rows() && !result.released; ++j) {
+    const SegmentPath path = task.trajectory->segment(task.manipulation, state, controls.row(j).transpose());
+    for (const auto& targets : path.targets) simulator.step(targets);
+    state = path.end_state;
+    result.max_grasp_strain = std::max(result.max_grasp_strain, simulator.diagnostics().max_grasp_strain);
+    result.released = task.trajectory->released(state);
+    if (result.released) {
+      simulator.release();
+      result.settle = simulator.settle(task.settle);
+    }
+    result.shapes.push_back(simulator.positions());
+    result.states.row(j + 1) = state.transpose();
+    ++result.segments;
+  }
+  result.states.conservativeResize(result.segments + 1, Eigen::NoChange);
+  return result;
+}
+
+}  // namespace weft

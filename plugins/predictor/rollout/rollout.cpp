@@ -1,0 +1,363 @@
+#include "rollout.hpp"
+
+#include <cmath>
+
+namespace weft::rollout {
+namespace {
+
+/// Halton point i (from 1) in 4 dimensions, bases 2, 3, 5, 7: the same few materials for every call, evenly spread.
+PropertyVector halton(Index i) {
+  constexpr Index bases[4] = {2, 3, 5, 7};
+  PropertyVector point;
+  for (Index p = 0; p < 4; ++p) {
+    double fraction = 1.0, value = 0.0;
+    for (Index n = i; n > 0; n /= bases[p]) {
+      fraction /= static_cast<double>(bases[p]);
+      value += fraction * static_cast<double>(n % bases[p]);
+    }
+    point(p) = value;
+  }
+  return point;
+}
+
+}  // namespace
+
+/// One simulated case and sample.
+struct RolloutPredictor::Run {
+  MaterialProperties material = MaterialProperties::Zero();
+  std::vector<Positions> shapes;  ///< [last requested segment]: after each segment
+  std::vector<std::shared_ptr<const SimulatorSnapshot>> snapshots;  ///< at the start of each segment
+  std::vector<Vector> states;     ///< at the start of each segment
+  Index release = 0;              ///< 1-based segment at whose end the cloth is released; 0: never
+};
+
+class RolloutPredictor::Lease {
+ public:
+  explicit Lease(const RolloutPredictor& owner) : owner_(owner) {
+    {
+      const std::lock_guard lock(owner.pool_mutex_);
+      if (!owner.pool_.empty()) {
+        simulator_ = owner.pool_.back();
+        owner.pool_.pop_back();
+        return;
+      }
+    }
+    simulator_ = owner.host_.create<Simulator>(owner.simulator_slot_);
+  }
+  ~Lease() {
+    const std::lock_guard lock(owner_.pool_mutex_);
+    owner_.pool_.push_back(std::move(simulator_));
+  }
+  Lease(const Lease&) = delete;
+  Lease& operator=(const Lease&) = delete;
+  Simulator& operator*() const { return *simulator_; }
+
+ private:
+  const RolloutPredictor& owner_;
+  std::shared_ptr<Simulator> simulator_;
+};
+
+/// Owns the unperturbed runs; pullback() simulates the perturbed ones.
+class RolloutPrediction final : public Prediction {
+ public:
+  using Run = RolloutPredictor::Run;
+  using Lease = RolloutPredictor::Lease;
+
+  RolloutPrediction(const RolloutPredictor& owner, const std::vector<PredictionCase>& cases, const PredictionRequest& request)
+      : owner_(owner), cases_(cases), request_(request), samples_(static_cast<std::size_t>(owner.params_.samples)) {
+    runs_.resize(cases_.size() * samples_);
+    failures_.resize(cases_.size());
+    std::vector<std::string> errors(runs_.size());
+    owner_.host_.parallel_for(static_cast<std::int64_t>(runs_.size()), [&](std::int64_t job) {
+      const auto at = static_cast<std::size_t>(job);
+      try {
+        simulate(cases_[at / samples_], static_cast<Index>(at % samples_), runs_[at]);
+      } catch (const Diverged& error) {
+        errors[at] = error.what();
+      }
+    });
+    shapes_.resize(cases_.size());
+    for (std::size_t i = 0; i < cases_.size(); ++i) {
+      for (std::size_t s = 0; s < samples_; ++s) {
+        if (failures_[i].empty()) failures_[i] = errors[i * samples_ + s];
+      }
+      if (!failures_[i].empty()) continue;
+      std::vector<const std::vector<Positions>*> sampled;
+      for (std::size_t s = 0; s < samples_; ++s) sampled.push_back(&runs_[i * samples_ + s].shapes);
+      shapes_[i] = moments(cases_[i], sampled);
+    }
+  }
+
+  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
+  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
+
+  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
+    if (!request_.gradients) throw Unsupported("rollout: pullback needs a prediction made with gradients");
+    require_shape("rollout: cotangent cases", static_cast<Index>(cotangents.size()), static_cast<Index>(cases_.size()));
+    std::vector<CaseGradient> gradients(cases_.size());
+    // One job per case and perturbed input; a job runs all samples of that case.
+    struct Job {
+      std::size_t instance;
+      Index segment, control;  // segment < 0: knowledge entry `control`, centre 0-3, width 4-7
+    };
+    std::vector<Job> jobs;
+    for (std::size_t i = 0; i < cases_.size(); ++i) {
+      const auto& one = cases_[i];
+      gradients[i].controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+      gradients[i].state.resize(0);
+      gradients[i].shape.resize(0, 3);
+      require_shape("rollout: cotangents of a case", static_cast<Index>(cotangents[i].size()),
+                    static_cast<Index>(one.segments.size()));
+      Index last = 0;
+      for (std::size_t k = 0; k < cotangents[i].size(); ++k) {
+        if (cotangents[i][k].mean.rows() > 0 || cotangents[i][k].sigma.rows() > 0) last = one.segments[k];
+      }
+      if (!failures_[i].empty() || last == 0) continue;
+      const Index release = runs_[i * samples_].release;
+      const Index active = release > 0 ? std::min(last, release) : last;
+      if (request_.control_gradients) {
+        for (Index j = 0; j < active; ++j) {
+          for (Index c = 0; c < one.controls.cols(); ++c) jobs.push_back({i, j, c});
+        }
+      }
+      if (request_.knowledge_gradients) {
+        for (Index p = 0; p < 8; ++p) jobs.push_back({i, -1, p});
+      }
+    }
+    std::vector<double> derivatives(jobs.size());
+    owner_.host_.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
+      const auto& job = jobs[static_cast<std::size_t>(j)];
+      derivatives[static_cast<std::size_t>(j)] = job.segment < 0
+                                                     ? knowledge_derivative(job.instance, job.control, cotangents[job.instance])
+                                                     : control_derivative(job.instance, job.segment, job.control, cotangents[job.instance]);
+    });
+    for (std::size_t j = 0; j < jobs.size(); ++j) {
+      auto& gradient = gradients[jobs[j].instance];
+      if (jobs[j].segment >= 0) {
+        gradient.controls(jobs[j].segment, jobs[j].control) = derivatives[j];
+      } else if (jobs[j].control < 4) {
+        gradient.centre(jobs[j].control) = derivatives[j];
+      } else {
+        gradient.width(jobs[j].control - 4) = derivatives[j];
+      }
+    }
+    return gradients;
+  }
+
+ private:
+  /// Simulates from the start of `from` (0-based segment; its snapshot must be taken) to the last requested segment.
+  void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state, Index release,
+               std::vector<Positions>& shapes, Run* record) const {
+    const auto& task = owner_.task_;
+    const auto& trajectory = *task.trajectory;
+    const Index last = one.segments.empty() ? 0 : one.segments.back();
+    for (Index j = from; j < last; ++j) {
+      if (release > 0 && j >= release) {  // meaningless segments after the release (section 4): the settled shape stays
+        shapes.push_back(shapes.back());
+        continue;
+      }
+      if (record) {
+        record->states.push_back(state);
+        if (request_.gradients && request_.control_gradients && owner_.has_snapshots_) record->snapshots.push_back(simulator.save());
+      }
+      const SegmentPath path = trajectory.segment(task.manipulation, state, controls.row(j).transpose());
+      for (const auto& targets : path.targets) simulator.step(targets);
+      state = path.end_state;
+      if (j + 1 == release) {
+        simulator.release();
+        simulator.settle(task.settle);
+      }
+      shapes.push_back(simulator.positions());
+    }
+  }
+
+  void simulate(const PredictionCase& one, Index sample, Run& run) const {
+    const auto& trajectory = *owner_.task_.trajectory;
+    run.material = owner_.material(one.knowledge, sample);
+    const Index u = trajectory.release_segment(owner_.task_.manipulation, one.state, one.controls);
+    const Controls states = trajectory.segment_states(owner_.task_.manipulation, one.state, one.controls);
+    run.release = trajectory.released(states.row(u - 1).transpose()) ? u : 0;
+    const Lease lease(owner_);
+    owner_.start(*lease, one, run.material);
+    advance(*lease, one, one.controls, 0, one.state, run.release, run.shapes, &run);
+  }
+
+  /// Mean and sigma over the samples, for every requested segment. Sigma adds the declared noise level.
+  std::vector<ShapeDistribution> moments(const PredictionCase& one, const std::vector<const std::vector<Positions>*>& sampled) const {
+    std::vector<ShapeDistribution> result;
+    const double n = static_cast<double>(sampled.size());
+    for (const Index segment : one.segments) {
+      const auto at = static_cast<std::size_t>(segment - 1);
+      ShapeDistribution distribution;
+      distribution.mean = (*sampled.front())[at];
+      for (std::size_t s = 1; s < sampled.size(); ++s) distribution.mean += (*sampled[s])[at];
+      distribution.mean /= n;
+      if (request_.moments == Moments::mean_and_sigma) {
+        Positions variance = Positions::Constant(distribution.mean.rows(), 3, owner_.params_.sigma_m * owner_.params_.sigma_m);
+        for (const auto* shapes : sampled) variance.array() += ((*shapes)[at] - distribution.mean).array().square() / n;
+        distribution.sigma = variance.cwiseSqrt();
+      } else {
+        distribution.sigma.resize(0, 3);
+      }
+      result.push_back(std::move(distribution));
+    }
+    return result;
+  }
+
+  static double dot(const std::vector<ShapeDistribution>& shapes, const std::vector<ShapeCotangent>& cotangents) {
+    double sum = 0.0;
+    for (std::size_t k = 0; k < shapes.size(); ++k) {
+      if (cotangents[k].mean.rows() > 0) sum += shapes[k].mean.cwiseProduct(cotangents[k].mean).sum();
+      if (cotangents[k].sigma.rows() > 0) sum += shapes[k].sigma.cwiseProduct(cotangents[k].sigma).sum();
+    }
+    return sum;
+  }
+
+  /// <cotangents, shapes> with control (segment, control) changed by `change`.
+  double perturbed_control(std::size_t i, Index segment, Index control, double change,
+                           const std::vector<ShapeCotangent>& cotangents) const {
+    const auto& one = cases_[i];
+    Controls controls = one.controls;
+    controls(segment, control) += change;
+    std::vector<std::vector<Positions>> shapes(samples_);
+    std::vector<const std::vector<Positions>*> sampled;
+    const Lease lease(owner_);
+    for (std::size_t s = 0; s < samples_; ++s) {
+      const Run& run = runs_[i * samples_ + s];
+      const auto from = static_cast<std::size_t>(segment);
+      owner_.start(*lease, one, run.material);
+      Vector state = one.state;
+      Index first = 0;
+      if (!run.snapshots.empty()) {
+        (*lease).restore(*run.snapshots[from]);
+        state = run.states[from];
+        first = segment;
+        shapes[s].assign(run.shapes.begin(), run.shapes.begin() + segment);
+      }
+      advance(*lease, one, controls, first, state, run.release, shapes[s], nullptr);
+      sampled.push_back(&shapes[s]);
+    }
+    return dot(moments(one, sampled), cotangents);
+  }
+
+  double control_derivative(std::size_t i, Index segment, Index control, const std::vector<ShapeCotangent>& cotangents) const {
+    const auto variable = owner_.task_.trajectory->controls()[static_cast<std::size_t>(control)];
+    double step = owner_.params_.step * variable.scale;
+    // Step inwards where the control stands at its upper bound.
+    if (cases_[i].controls(segment, control) + step > variable.upper) step = -step;
+    try {
+      const double there = perturbed_control(i, segment, control, step, cotangents);
+      if (owner_.params_.difference == "central") {
+        return (there - perturbed_control(i, segment, control, -step, cotangents)) / (2.0 * step);
+      }
+      return (there - dot(shapes_[i], cotangents)) / step;
+    } catch (const Diverged&) {
+      return std::numeric_limits<double>::quiet_NaN();  // the optimiser counts this evaluation as failed
+    }
+  }
+
+  double perturbed_knowledge(std::size_t i, Index entry, double change, const std::vector<ShapeCotangent>& cotangents) const {
+    const auto& one = cases_[i];
+    MaterialKnowledge knowledge = one.knowledge;
+    (entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4)) += change;
+    std::vector<std::vector<Positions>> shapes(samples_);
+    std::vector<const std::vector<Positions>*> sampled;
+    const Lease lease(owner_);
+    for (std::size_t s = 0; s < samples_; ++s) {
+      owner_.start(*lease, one, owner_.material(knowledge, static_cast<Index>(s)));
+      advance(*lease, one, one.controls, 0, one.state, runs_[i * samples_].release, shapes[s], nullptr);
+      sampled.push_back(&shapes[s]);
+    }
+    return dot(moments(one, sampled), cotangents);
+  }
+
+  double knowledge_derivative(std::size_t i, Index entry, const std::vector<ShapeCotangent>& cotangents) const {
+    if (entry >= 4 && samples_ == 1) return 0.0;  // a single sample sits in the middle of the interval, whatever its width
+    const auto& knowledge = cases_[i].knowledge;
+    const double value = entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4);
+    double step = owner_.params_.knowledge_step;
+    if (value + step > 1.0) step = -step;
+    const bool has_both_sides = value - step >= 0.0 && value - step <= 1.0;
+    try {
+      const double there = perturbed_knowledge(i, entry, step, cotangents);
+      if (owner_.params_.difference == "central" && has_both_sides) {
+        return (there - perturbed_knowledge(i, entry, -step, cotangents)) / (2.0 * step);
+      }
+      return (there - dot(shapes_[i], cotangents)) / step;
+    } catch (const Diverged&) {
+      return std::numeric_limits<double>::quiet_NaN();
+    }
+  }
+
+  const RolloutPredictor& owner_;
+  std::vector<PredictionCase> cases_;
+  PredictionRequest request_;
+  std::size_t samples_;
+  std::vector<Run> runs_;  // [cases * samples]
+  std::vector<std::vector<ShapeDistribution>> shapes_;
+  std::vector<std::string> failures_;
+};
+
+RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
+
+PredictorCapabilities RolloutPredictor::capabilities() const { return {.gradients = true, .deterministic = true, .needs_binding = true}; }
+
+void RolloutPredictor::bind(const Task& task) {
+  task_ = task;
+  simulator_slot_ = params_.simulator.is_null() ? task.simulator : params_.simulator;
+  if (simulator_slot_.is_null()) throw ConfigError("rollout: neither its params nor the task names a simulator");
+  {
+    const std::lock_guard lock(pool_mutex_);
+    pool_.clear();
+  }
+  const Lease first(*this);  // a wrong simulator shows here and not in the first plan
+  has_snapshots_ = (*first).capabilities().snapshots;
+  bound_ = true;
+}
+
+MaterialProperties RolloutPredictor::material(const MaterialKnowledge& knowledge, Index sample) const {
+  const PropertyVector lower = knowledge.lower();
+  const PropertyVector upper = knowledge.upper();
+  if (params_.samples == 1) return 0.5 * (lower + upper);
+  return lower + halton(sample + 1).cwiseProduct(upper - lower);
+}
+
+void RolloutPredictor::start(Simulator& simulator, const PredictionCase& one, const MaterialProperties& material) const {
+  simulator.reset(task_.garment, task_.material.at(material), task_.scene);
+  Positions velocities = Positions::Zero(one.shape->rows(), 3);
+  if (one.previous && params_.carry_velocity) {
+    velocities = (*one.shape - *one.previous) / (kFrameSeconds * static_cast<double>(kFramesPerSegment));
+  }
+  std::vector<Index> held(task_.manipulation.grasp_vertices);
+  simulator.set_state(*one.shape, velocities, held);
+}
+
+void RolloutPredictor::check(const PredictionCase& one, std::size_t i) const {
+  const std::string where = "rollout: case " + std::to_string(i) + ": ";
+  const auto& trajectory = *task_.trajectory;
+  if (!one.shape) throw ShapeError(where + "has no shape");
+  require_shape(where + "shape rows", one.shape->rows(), task_.garment->vertex_count());
+  if (one.previous) require_shape(where + "previous rows", one.previous->rows(), task_.garment->vertex_count());
+  require_shape(where + "state", one.state.size(), static_cast<Index>(trajectory.state().size()));
+  require_shape(where + "control columns", one.controls.cols(), static_cast<Index>(trajectory.controls().size()));
+  Index before = 0;
+  for (const Index segment : one.segments) {
+    if (segment <= before || segment > one.controls.rows()) {
+      throw ShapeError(where + "segments must ascend within [1, " + std::to_string(one.controls.rows()) + "], got " +
+                       std::to_string(segment));
+    }
+    before = segment;
+  }
+  const bool finite = one.shape->allFinite() && (!one.previous || one.previous->allFinite()) && one.state.allFinite() &&
+                      one.controls.allFinite() && one.knowledge.centre.allFinite() && one.knowledge.width.allFinite();
+  if (!finite) throw Error(where + "holds a number that is not finite");
+}
+
+std::unique_ptr<Prediction> RolloutPredictor::predict(const std::vector<PredictionCase>& cases,
+                                                      const PredictionRequest& request) const {
+  if (!bound_) throw Error("rollout: predict() before bind()");
+  for (std::size_t i = 0; i < cases.size(); ++i) check(cases[i], i);
+  return std::make_unique<RolloutPrediction>(*this, cases, request);
+}
+
+}  // namespace weft::rollout
