@@ -1,5 +1,5 @@
 # weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
-#                 [CONFORMANCE file.yaml] [NO_CONFORMANCE_TEST])
+#                 [CONFORMANCE file.yaml] [NO_CONFORMANCE_TEST] [NO_INSTALL])
 # Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
 # `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
 function(weft_add_plugin name)
@@ -9,6 +9,7 @@ function(weft_add_plugin name)
   endif()
   set(target weft_${ARG_KIND}_${name})
   add_library(${target} MODULE ${ARG_SOURCES})
+  set_property(GLOBAL APPEND PROPERTY WEFT_PLUGIN_TARGETS ${target})
   target_link_libraries(${target} PRIVATE weft::framework ${ARG_LIBRARIES})
   target_compile_features(${target} PRIVATE cxx_std_20)
   set_target_properties(${target} PROPERTIES
@@ -32,7 +33,8 @@ function(weft_add_plugin name)
       install(FILES ${ARG_CONFORMANCE} DESTINATION ${CMAKE_INSTALL_LIBDIR}/weft/plugins RENAME lib${target}.conformance.yaml)
     endif()
   endif()
-  if(NOT ARG_NO_CONFORMANCE_TEST AND BUILD_TESTING)
-    add_test(NAME conformance.${ARG_KIND}.${name} COMMAND weft::weft conformance $<TARGET_FILE:${target}>)
+  # Registers nothing unless enable_testing() was called.
+  if(NOT ARG_NO_CONFORMANCE_TEST)
+    add_test(NAME conformance.${ARG_KIND}.${name} COMMAND $<TARGET_FILE:weft::weft> conformance $<TARGET_FILE:${target}>)
   endif()
 endfunction()

@@ -1,8 +1,11 @@
-execute_process(COMMAND git -C ${SOURCE} rev-parse --short=12 HEAD OUTPUT_VARIABLE commit OUTPUT_STRIP_TRAILING_WHITESPACE
-                ERROR_QUIET RESULT_VARIABLE failed)
-if(failed)
-  set(commit "unknown")
-else()
+# Writes OUTPUT, a header naming the commit of SOURCE: "unknown" without git, and for a source tree that is no
+# repository of its own (an unpacked release inside somebody's repository must not take that repository's commit).
+set(commit "unknown")
+execute_process(COMMAND git -C ${SOURCE} rev-parse --show-toplevel --short=12 HEAD OUTPUT_VARIABLE answer
+                OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET RESULT_VARIABLE failed)
+file(REAL_PATH ${SOURCE} source)
+if(NOT failed AND answer MATCHES "^(.*)\n([0-9a-f]+)$" AND CMAKE_MATCH_1 STREQUAL source)
+  set(commit ${CMAKE_MATCH_2})
   execute_process(COMMAND git -C ${SOURCE} status --porcelain --untracked-files=no OUTPUT_VARIABLE changes ERROR_QUIET)
   if(changes)
     string(APPEND commit "+changes")

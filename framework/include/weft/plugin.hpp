@@ -19,7 +19,7 @@ extern "C" struct WeftPluginInfo {
 // Everything two libraries must agree on before they exchange C++ objects.
 #define WEFT_STRINGIFY_(x) #x
 #define WEFT_STRINGIFY(x) WEFT_STRINGIFY_(x)
-#define WEFT_ABI_TAG                                                                                     \
+#define WEFT_ABI_TAG \
   "weft1 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI)    \
   " eigen" WEFT_STRINGIFY(EIGEN_WORLD_VERSION) "." WEFT_STRINGIFY(EIGEN_MAJOR_VERSION) "." WEFT_STRINGIFY( \
       EIGEN_MINOR_VERSION) " align" WEFT_STRINGIFY(EIGEN_MAX_ALIGN_BYTES)
@@ -58,14 +58,14 @@ Interface* create_plugin(Host& host, const ConfigNode& params_node) {
 
 /// Exports one plugin from a library: WEFT_PLUGIN(weft::Trajectory, my::Line, my::Params, "line", "1.0.0").
 /// The create and visit functions may throw weft::Error; the loader catches.
-#define WEFT_PLUGIN(Interface, Impl, Params, name, version)                                                   \
-  extern "C" WEFT_API const WeftPluginInfo weft_plugin_info =                                                 \
-      ::weft::make_plugin_info<Interface>(name, version);                                                     \
-  extern "C" WEFT_API void* weft_plugin_create(::weft::Host* host, const ::weft::ConfigNode* params) {        \
-    return static_cast<Interface*>(::weft::create_plugin<Interface, Impl, Params>(*host, *params));           \
-  }                                                                                                           \
-  extern "C" WEFT_API void weft_plugin_destroy(void* object) { delete static_cast<Interface*>(object); }      \
-  extern "C" WEFT_API void weft_plugin_visit_params(::weft::ParamVisitor* visitor) {                          \
-    Params params;                                                                                            \
-    params.visit(*visitor);                                                                                   \
+#define WEFT_PLUGIN(Interface, Impl, Params, name, version)                                              \
+  extern "C" WEFT_API const ::weft::WeftPluginInfo weft_plugin_info =                                    \
+      ::weft::make_plugin_info<Interface>(name, version);                                                \
+  extern "C" WEFT_API void* weft_plugin_create(::weft::Host* host, const ::weft::ConfigNode* params) {   \
+    return static_cast<Interface*>(::weft::create_plugin<Interface, Impl, Params>(*host, *params));      \
+  }                                                                                                      \
+  extern "C" WEFT_API void weft_plugin_destroy(void* object) { delete static_cast<Interface*>(object); } \
+  extern "C" WEFT_API void weft_plugin_visit_params(::weft::ParamVisitor* visitor) {                     \
+    Params params;                                                                                       \
+    params.visit(*visitor);                                                                              \
   }
