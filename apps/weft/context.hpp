@@ -41,5 +41,6 @@ void register_describe(CLI::App& app, Context& context);
 void register_conformance(CLI::App& app, Context& context);
 void register_garment(CLI::App& app, Context& context);
 void register_simulate(CLI::App& app, Context& context);
+void register_displacement(CLI::App& app, Context& context);
 
 }  // namespace weft::app

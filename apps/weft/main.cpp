@@ -14,6 +14,7 @@ int main(int argc, char** argv) {
   Context context;
   register_run(app, context);
   register_simulate(app, context);
+  register_displacement(app, context);
   register_garment(app, context);
   register_conformance(app, context);
   register_plugins(app, context);

@@ -1,0 +1,47 @@
+#include <cstdio>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "context.hpp"
+#include "weft/displacement.hpp"
+#include "weft/session.hpp"
+
+namespace weft::app {
+namespace {
+
+int tune(const Context& context, const std::string& file) {
+  const ConfigNode config = context.load(file);
+  SessionParams params;
+  read_params(config, params);
+  const auto registry = context.registry(config);
+  const auto host = context.host(registry, 0);
+  const Task task = make_task(params.task, config, *host);
+  const auto simulator = host->create<Simulator>(task.simulator);
+  const auto result = tune_displacement(task, *simulator, MaterialProperties::Constant(0.5));
+  if (context.json) {
+    std::cout << nlohmann::ordered_json{{"displacement_m", {result.displacement.x(), result.displacement.y()}},
+                                        {"misfit_mm", result.misfit_mm},
+                                        {"folds", result.evaluations}}
+                     .dump(2)
+              << '\n';
+  } else {
+    std::printf("displacement_m: [%.4f, %.4f]\n", result.displacement.x(), result.displacement.y());
+    char line[120];
+    std::snprintf(line, sizeof(line), "# mean misfit of the folded half: %.1f mm, %td folds simulated", result.misfit_mm,
+                  result.evaluations);
+    context.say(line);
+  }
+  return 0;
+}
+
+}  // namespace
+
+void register_displacement(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("displacement", "Tune the length of d so that the default arc folds the garment in two");
+  add_common_options(*command, context);
+  auto file = std::make_shared<std::string>();
+  command->add_option("config", *file, "Task file; its manipulation.displacement_m gives the direction")->required();
+  command->callback([&context, file] { context.action = [&context, file] { return tune(context, *file); }; });
+}
+
+}  // namespace weft::app
