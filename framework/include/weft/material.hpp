@@ -66,7 +66,10 @@ struct Fabric {
 };
 
 /// Reads `fabric:` of a scene or task: a mapping in SI units, the path of such a YAML file, or the path of an
-/// ARCSim/ARGUS material .json; any of them with optional stretch_multiplier and bend_multiplier.
+/// ARCSim/ARGUS material .json; or a mapping {file: PATH, stretch_multiplier, bend_multiplier, ...} whose other keys
+/// replace those of the file (of a .json: name, density, friction, self_friction, thickness and damping). Both kinds of file may hold
+/// the multipliers themselves; multipliers multiply.
+/// Left out: shear is the mean of warp and weft / 2 / (1 + poisson), bias the mean of warp and weft.
 /// @throws ConfigError with file and line.
 WEFT_API Fabric read_fabric(const ConfigNode& node);
 /// The fabric as a mapping that read_fabric reads back to the same bits.
