@@ -1,0 +1,457 @@
+#include "cloth.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "weft/error.hpp"
+
+namespace weft::cloth {
+namespace {
+
+// Substeps in a block: between two choices of step size and of contact pairs.
+constexpr Index kBlock = 8;
+// Allowance for what a vertex may gain in speed within a block, m/s^2; a faster one ends its block early.
+constexpr float kGain = 40.0f;
+// A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
+constexpr double kRise = 0.05;
+
+inline __m256d load(const Double4& a) { return _mm256_load_pd(&a.x); }
+inline void store(Double4& a, __m256d value) { _mm256_store_pd(&a.x, value); }
+
+/// Rounds to fixed point modulo 2^32: adding 1.5 2^52 leaves the integer in the low bits of the double.
+inline Fixed4 to_fixed(__m256d x, __m256d per_unit) {
+  const __m256d magic = _mm256_set1_pd(6755399441055744.0);
+  const __m256i bits = _mm256_castpd_si256(_mm256_fmadd_pd(x, per_unit, magic));
+  const __m256i packed = _mm256_permutevar8x32_epi32(bits, _mm256_setr_epi32(0, 2, 4, 6, 0, 2, 4, 6));
+  Fixed4 out;
+  _mm_store_si128(reinterpret_cast<__m128i*>(&out), _mm256_castsi256_si128(packed));
+  return out;
+}
+
+}  // namespace
+
+struct Cloth::Snapshot final : SimulatorSnapshot {
+  State state;
+  std::uint64_t garment = 0;
+  Index vertices = 0;
+};
+
+SimulatorCapabilities Cloth::capabilities() const {
+  SimulatorCapabilities c;
+  c.snapshots = true;
+  c.self_contact = params_.self_contact;
+  c.ground_friction = true;
+  c.pins = true;
+  c.orthotropic = true;
+  return c;
+}
+
+void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) {
+  if (!garment || garment->vertex_count() < 3 || garment->face_count() < 1)
+    throw ConfigError("cloth: garment has no faces, must be a triangle mesh");
+  const auto require = [](bool good, const char* what, double got, const char* wanted) {
+    if (!good) throw ConfigError(std::string("cloth: fabric.") + what + " = " + std::to_string(got) + ", must be " + wanted);
+  };
+  const auto positive = [&](const char* what, double v) { require(std::isfinite(v) && v > 0.0, what, v, "above 0"); };
+  const auto not_negative = [&](const char* what, double v) { require(std::isfinite(v) && v >= 0.0, what, v, "at least 0"); };
+  positive("density_kg_per_m2", fabric.density_kg_per_m2);
+  if (!fabric.tables) {
+    positive("stretch_n_per_m.warp", fabric.stretch_warp_n_per_m);
+    positive("stretch_n_per_m.weft", fabric.stretch_weft_n_per_m);
+    not_negative("stretch_n_per_m.shear", fabric.stretch_shear_n_per_m);
+    not_negative("bend_n_m.warp", fabric.bend_warp_n_m);
+    not_negative("bend_n_m.weft", fabric.bend_weft_n_m);
+    not_negative("bend_n_m.bias", fabric.bend_bias_n_m);
+    const double nu = fabric.poisson;
+    require(std::isfinite(nu) && nu >= 0.0 && nu * nu * fabric.stretch_weft_n_per_m < 0.999 * fabric.stretch_warp_n_per_m,
+            "poisson", nu, "at least 0 and below sqrt(K_warp / K_weft)");
+  } else {
+    positive("stretch_multiplier", fabric.stretch_multiplier);
+    not_negative("bend_multiplier", fabric.bend_multiplier);
+  }
+  not_negative("friction", fabric.friction);
+  not_negative("self_friction", fabric.self_friction);
+  not_negative("thickness_m", fabric.thickness_m);
+  if (params_.self_contact) positive("thickness_m", fabric.thickness_m);
+  not_negative("damping.stretch_s", fabric.damping_stretch_s);
+  not_negative("damping.bend_s", fabric.damping_bend_s);
+  not_negative("damping.air_per_s", fabric.damping_air_per_s);
+  if (!scene.gravity.allFinite()) throw ConfigError("cloth: scene.gravity is not finite");
+  if (!scene.initial_velocity.allFinite()) throw ConfigError("cloth: scene.initial_velocity is not finite");
+  if (scene.ground_height && !std::isfinite(*scene.ground_height)) throw ConfigError("cloth: scene.ground_height is not finite");
+  const Index n = garment->vertex_count();
+  for (const Index pin : scene.pins)
+    if (pin < 0 || pin >= n)
+      throw ConfigError("cloth: scene.pins holds " + std::to_string(pin) + ", must be in [0, " + std::to_string(n - 1) + "]");
+  if (params_.max_substeps < params_.min_substeps)
+    throw ConfigError("cloth: max_substeps = " + std::to_string(params_.max_substeps) + ", must be at least min_substeps = " +
+                      std::to_string(params_.min_substeps));
+
+  garment_ = std::move(garment);
+  fabric_ = fabric;
+  scene_ = scene;
+  topology_ = std::make_unique<Topology>(*garment_);
+  elements_ = std::make_unique<Elements>(*topology_, fabric_);
+  contact_ = std::make_unique<SelfContact>(*topology_, fabric_);
+  masses_.resize(n);
+  for (Index i = 0; i < n; ++i) masses_[i] = fabric_.density_kg_per_m2 * topology_->vertex_area[i];
+  pinned_.assign(n, 0);
+  for (const Index pin : scene_.pins) pinned_[pin] = 1;
+  spectrum_ = largest_frequencies(*elements_, masses_);
+  longest_step_ = stable_step(spectrum_, fabric_.damping_stretch_s, fabric_.damping_bend_s, params_.step_safety);
+  floor_ = scene_.ground_height ? *scene_.ground_height + fabric_.thickness_m : -std::numeric_limits<double>::infinity();
+  const double frame_substeps = kFrameSeconds / longest_step_;
+  if (frame_substeps > static_cast<double>(params_.max_substeps))
+    throw ConfigError("cloth: this mesh and fabric need " + std::to_string(static_cast<long>(std::ceil(frame_substeps))) +
+                      " substeps per frame, must be at most max_substeps = " + std::to_string(params_.max_substeps) +
+                      " (coarser mesh, softer fabric, or less stiffness-proportional damping)");
+
+  state_ = State{};
+  state_.x.resize(n);
+  state_.v.resize(n);
+  state_.v_float.resize(n);
+  state_.x_fixed.resize(n);
+  state_.inverse_mass.resize(n);
+  state_.held.reserve(64);
+  for (Index i = 0; i < n; ++i) {
+    const bool pinned = pinned_[i] != 0;
+    const double z = garment_->positions(i, 2);
+    state_.x[i] = {garment_->positions(i, 0), garment_->positions(i, 1), pinned ? z : std::max(z, floor_), 0.0};
+    state_.v[i] = pinned ? Double4{} : Double4{scene_.initial_velocity.x(), scene_.initial_velocity.y(), scene_.initial_velocity.z(), 0.0};
+    state_.inverse_mass[i] = pinned ? 0.0f : static_cast<float>(1.0 / masses_[i]);
+  }
+  contact_->clear(state_.contact);
+  forces_.assign(n, Float4{});
+  reach_.assign(n, 0.0f);
+  speed_.assign(n, 0.0f);
+  bound_.assign(n, 0.0f);
+  start_.reserve(64);
+  target_.reserve(64);
+  danger_.reserve(4 * n);
+  positions_.resize(n, 3);
+  velocities_.resize(n, 3);
+  if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
+  refresh_derived();
+  publish();
+}
+
+void Cloth::require_ready(const char* call) const {
+  if (!garment_) throw Error(std::string("cloth: ") + call + "() before reset()");
+  if (state_.lost) throw Error(std::string("cloth: ") + call + "() after divergence in frame " + std::to_string(state_.frame) + ", must be reset");
+}
+
+std::int32_t Cloth::checked_vertex(Index vertex, const char* call) const {
+  const Index n = garment_->vertex_count();
+  const auto refuse = [&](const std::string& why) {
+    throw ShapeError(std::string("cloth: ") + call + ": vertex " + std::to_string(vertex) + " " + why);
+  };
+  if (vertex < 0 || vertex >= n) refuse("out of range, must be in [0, " + std::to_string(n - 1) + "]");
+  if (pinned_[vertex]) refuse("is pinned, must be free");
+  return static_cast<std::int32_t>(vertex);
+}
+
+void Cloth::hold(std::int32_t vertex) {
+  state_.held.push_back(vertex);
+  state_.inverse_mass[vertex] = 0.0f;
+  state_.v[vertex] = Double4{};
+  state_.v_float[vertex] = Float4{};
+}
+
+void Cloth::grasp(std::span<const Index> vertices) {
+  require_ready("grasp");
+  std::vector<std::int32_t> checked;
+  for (const Index vertex : vertices) {
+    const std::int32_t v = checked_vertex(vertex, "grasp");
+    if (std::find(state_.held.begin(), state_.held.end(), v) != state_.held.end() ||
+        std::find(checked.begin(), checked.end(), v) != checked.end())
+      throw ShapeError("cloth: grasp: vertex " + std::to_string(v) + " is already held");
+    checked.push_back(v);
+  }
+  for (const std::int32_t v : checked) hold(v);
+  publish();
+}
+
+std::vector<Index> Cloth::grasped() const { return {state_.held.begin(), state_.held.end()}; }
+
+void Cloth::release(std::span<const Index> vertices) {
+  require_ready("release");
+  for (const Index vertex : vertices)
+    if (std::find(state_.held.begin(), state_.held.end(), vertex) == state_.held.end())
+      throw ShapeError("cloth: release: vertex " + std::to_string(vertex) + " is not held");
+  for (const Index vertex : vertices) {
+    const auto v = static_cast<std::int32_t>(vertex);
+    const auto at = std::find(state_.held.begin(), state_.held.end(), v);
+    if (at == state_.held.end()) continue;  // named twice
+    state_.held.erase(at);
+    state_.inverse_mass[v] = static_cast<float>(1.0 / masses_[v]);
+    state_.v[v] = Double4{};
+    state_.v_float[v] = Float4{};
+  }
+  publish();
+}
+
+void Cloth::release() {
+  const std::vector<Index> all(state_.held.begin(), state_.held.end());
+  release(all);
+}
+
+void Cloth::set_state(const Positions& positions, const Positions& velocities, std::span<const Index> grasped) {
+  if (!garment_) throw Error("cloth: set_state() before reset()");
+  const Index n = garment_->vertex_count();
+  require_shape("cloth: set_state: rows of positions", positions.rows(), n);
+  require_shape("cloth: set_state: rows of velocities", velocities.rows(), n);
+  if (!positions.allFinite() || !velocities.allFinite()) throw Error("cloth: set_state: positions or velocities are not finite");
+  for (std::size_t k = 0; k < grasped.size(); ++k) {
+    checked_vertex(grasped[k], "set_state");
+    if (std::find(grasped.begin(), grasped.begin() + k, grasped[k]) != grasped.begin() + k)
+      throw ShapeError("cloth: set_state: vertex " + std::to_string(grasped[k]) + " is named twice");
+  }
+  state_.lost = false;
+  state_.held.clear();
+  state_.stiffening = 1.0f;
+  for (Index i = 0; i < n; ++i) {
+    state_.x[i] = {positions(i, 0), positions(i, 1), positions(i, 2), 0.0};
+    state_.v[i] = pinned_[i] ? Double4{} : Double4{velocities(i, 0), velocities(i, 1), velocities(i, 2), 0.0};
+    state_.inverse_mass[i] = pinned_[i] ? 0.0f : static_cast<float>(1.0 / masses_[i]);
+  }
+  for (const Index vertex : grasped) hold(static_cast<std::int32_t>(vertex));
+  contact_->clear(state_.contact);
+  for (std::int32_t f = 0; f < elements_->face_count(); ++f) {
+    const double s = 1.0 + elements_->principal_strain(state_.x.data(), f);
+    state_.stiffening = std::max(state_.stiffening, static_cast<float>(s * s));
+  }
+  refresh_derived();
+  publish();
+}
+
+void Cloth::refresh_derived() {
+  const __m256d per_unit = _mm256_set1_pd(1.0 / elements_->unit());
+  for (std::size_t i = 0; i < state_.x.size(); ++i) {
+    state_.x_fixed[i] = to_fixed(load(state_.x[i]), per_unit);
+    const Double4& v = state_.v[i];
+    state_.v_float[i] = {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z), 0.0f};
+  }
+}
+
+void Cloth::publish() {
+  for (std::size_t i = 0; i < state_.x.size(); ++i) {
+    const auto row = static_cast<Index>(i);
+    positions_.row(row) << state_.x[i].x, state_.x[i].y, state_.x[i].z;
+    velocities_.row(row) << state_.v[i].x, state_.v[i].y, state_.v[i].z;
+  }
+}
+
+void Cloth::step(const Positions& grasp_targets) {
+  require_ready("step");
+  require_shape("cloth: step: rows of grasp_targets", grasp_targets.rows(), static_cast<std::ptrdiff_t>(state_.held.size()));
+  if (!grasp_targets.allFinite()) throw Error("cloth: step: grasp_targets are not finite");
+  target_.resize(state_.held.size());
+  for (std::size_t k = 0; k < state_.held.size(); ++k) {
+    const auto row = static_cast<Index>(k);
+    target_[k] = {grasp_targets(row, 0), grasp_targets(row, 1), grasp_targets(row, 2), 0.0};
+  }
+  advance(target_.data(), 0.0);
+}
+
+SettleResult Cloth::settle(const SettleCriterion& criterion) {
+  require_ready("settle");
+  target_.resize(state_.held.size());
+  for (std::size_t k = 0; k < state_.held.size(); ++k) target_[k] = state_.x[state_.held[k]];
+  SettleResult result;
+  Index calm = 0;
+  while (result.frames < criterion.max_frames) {
+    advance(target_.data(), params_.settle_damping_per_s);
+    ++result.frames;
+    calm = max_speed() < criterion.speed ? calm + 1 : 0;
+    if (calm >= criterion.hold_frames) {
+      result.settled = true;
+      break;
+    }
+  }
+  result.max_speed = max_speed();
+  return result;
+}
+
+void Cloth::advance(const Double4* targets, double extra_drag) {
+  const auto n = static_cast<std::int32_t>(state_.x.size());
+  const std::size_t held = state_.held.size();
+  start_.resize(held);
+  for (std::size_t k = 0; k < held; ++k) {
+    start_[k] = state_.x[state_.held[k]];
+    const Double4 &s = start_[k], &t = targets[k];
+    Double4& v = state_.v[state_.held[k]];
+    v = {(t.x - s.x) / kFrameSeconds, (t.y - s.y) / kFrameSeconds, (t.z - s.z) / kFrameSeconds, 0.0};
+    state_.v_float[state_.held[k]] = {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z), 0.0f};
+  }
+  if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
+
+  const double drag = fabric_.damping_air_per_s + extra_drag;
+  const auto diverged = [&](const std::string& why) {
+    state_.lost = true;
+    throw Diverged("cloth: diverged in frame " + std::to_string(state_.frame + 1) + ": " + why);
+  };
+  double done = 0.0;
+  last_substeps_ = 0;
+  while (done < kFrameSeconds) {
+    // Tangent of St. Venant-Kirchhoff in tension: dP/dlambda = K (3 lambda^2 - 1)/2; step_safety covers the first tenth.
+    const double stiffening = std::max(1.0, (1.5 * state_.stiffening - 0.5) / 1.15);
+    const double rest = kFrameSeconds - done;
+    const double limit = std::min(longest_step_ / std::sqrt(stiffening), kFrameSeconds / static_cast<double>(params_.min_substeps));
+    const double wanted = std::ceil(rest / limit - 1e-6);
+    if (!(wanted <= static_cast<double>(params_.max_substeps)))
+      diverged("it needs more than max_substeps = " + std::to_string(params_.max_substeps) + " substeps per frame");
+    const Index left = std::max<Index>(1, static_cast<Index>(wanted));
+    const double dt = rest / static_cast<double>(left);
+    const Index block = std::min(left, kBlock);
+    const auto block_seconds = static_cast<float>(dt * static_cast<double>(block));
+
+    double sum = 0.0;
+    for (std::int32_t i = 0; i < n; ++i) {
+      const Float4& v = state_.v_float[i];
+      const float square = v.x * v.x + v.y * v.y + v.z * v.z;
+      sum += square;
+      speed_[i] = std::sqrt(square);
+      reach_[i] = block_seconds * (1.25f * speed_[i] + kGain * block_seconds) + 1e-6f;
+    }
+    if (!std::isfinite(sum)) diverged("speeds are not finite");
+    if (params_.self_contact) {
+      SelfContact::State& contact = state_.contact;
+      contact_->prepare(contact, state_.x.data(), state_.x_fixed.data(), elements_->unit(), speed_.data(), reach_.data(), kFrameSeconds);
+      for (std::int32_t i = 0; i < n; ++i) bound_[i] = contact.path[i] + reach_[i];
+      contact_->activate(contact, state_.x_fixed.data(), elements_->unit(), bound_.data(), state_.inverse_mass.data(),
+                         static_cast<float>(dt), block_seconds);
+    }
+    for (Index k = 0; k < block; ++k) {
+      const bool last = last_substeps_ >= 0 && k + 1 == left;
+      const double part = last ? 1.0 : (done + dt) / kFrameSeconds;
+      const double excess = substep(dt, drag, bound_.data(), start_.data(), targets, part);
+      done = last ? kFrameSeconds : done + dt;
+      ++last_substeps_;
+      if (excess > 0.0) break;
+    }
+    if (params_.self_contact) contact_->remember(state_.contact);
+    if (last_substeps_ > 4 * params_.max_substeps) diverged("no progress");
+  }
+  double sum = 0.0;
+  for (std::int32_t i = 0; i < n; ++i) {
+    const Double4 &x = state_.x[i], &v = state_.v[i];
+    sum += std::abs(x.x) + std::abs(x.y) + std::abs(x.z) + std::abs(v.x) + std::abs(v.y) + std::abs(v.z);
+  }
+  if (!std::isfinite(sum)) diverged("positions or speeds are not finite");
+  ++state_.frame;
+  update_grasp_strain();
+  publish();
+}
+
+/// One symplectic step. @return above zero when a vertex has moved beyond its bound: the block must end.
+double Cloth::substep(double dt, double drag, const float* bound, const Double4* start, const Double4* targets, double part) {
+  const auto n = static_cast<std::int32_t>(state_.x.size());
+  std::fill(forces_.begin(), forces_.end(), Float4{});
+  state_.stiffening = elements_->add_forces(state_.x_fixed.data(), state_.v_float.data(), forces_.data());
+  danger_.clear();
+  if (params_.self_contact)
+    contact_->add_forces(state_.contact, state_.x_fixed.data(), state_.v_float.data(), elements_->unit(),
+                         static_cast<float>(dt), forces_.data(), danger_);
+
+  const __m256d gravity = _mm256_setr_pd(dt * scene_.gravity.x(), dt * scene_.gravity.y(), dt * scene_.gravity.z(), 0.0);
+  const __m256d keep = _mm256_set1_pd(1.0 / (1.0 + dt * drag));
+  for (std::int32_t i = 0; i < n; ++i) {
+    const float w = state_.inverse_mass[i];
+    if (w == 0.0f) continue;
+    const __m256d f = _mm256_cvtps_pd(_mm_load_ps(&forces_[i].x));
+    const __m256d gain = _mm256_fmadd_pd(f, _mm256_set1_pd(dt * static_cast<double>(w)), gravity);
+    store(state_.v[i], _mm256_mul_pd(_mm256_add_pd(load(state_.v[i]), gain), keep));
+  }
+  if (!danger_.empty())
+    contact_->stop(state_.contact, state_.x_fixed.data(), elements_->unit(), dt, state_.inverse_mass.data(), danger_, state_.v.data());
+
+  // Ground, then move. The normal impulse is what keeps the vertex from going below; the tangential one is at most mu
+  // times it, against the motion, and takes all of it where it can: sticking is exactly at rest.
+  const double mu = fabric_.friction;
+  const __m256d step = _mm256_set1_pd(dt), per_unit = _mm256_set1_pd(1.0 / elements_->unit());
+  const float dt_float = static_cast<float>(dt);
+  float excess = 0.0f;
+  for (std::int32_t i = 0; i < n; ++i) {
+    Double4 &x = state_.x[i], &v = state_.v[i];
+    if (state_.inverse_mass[i] != 0.0f) {
+      if (x.z + dt * v.z < floor_) {
+        const double allowed = x.z > floor_ ? (floor_ - x.z) / dt : 0.0;  // <= 0
+        const double stopped = std::max(0.0, allowed - v.z);
+        const double sliding = std::sqrt(v.x * v.x + v.y * v.y);
+        const double left = sliding <= mu * stopped ? 0.0 : 1.0 - mu * stopped / sliding;
+        v.x *= left;
+        v.y *= left;
+        v.z = std::max(v.z, allowed);
+        const double low = x.z;
+        store(x, _mm256_fmadd_pd(load(v), step, load(x)));
+        x.z = low > floor_ ? floor_ : std::min(std::max(low + kRise * dt, x.z), floor_);
+      } else {
+        store(x, _mm256_fmadd_pd(load(v), step, load(x)));
+      }
+    } else if (v.x != 0.0 || v.y != 0.0 || v.z != 0.0) {
+      store(x, _mm256_fmadd_pd(load(v), step, load(x)));  // held: made exact below
+    }
+    const __m128 vf = _mm256_cvtpd_ps(load(v));
+    _mm_store_ps(&state_.v_float[i].x, vf);
+    state_.x_fixed[i] = to_fixed(load(x), per_unit);
+    float& path = state_.contact.path[i];
+    path += dt_float * _mm_cvtss_f32(_mm_sqrt_ss(_mm_dp_ps(vf, vf, 0x71)));
+    excess = std::max(excess, path - bound[i]);
+  }
+  for (std::size_t k = 0; k < state_.held.size(); ++k) {
+    const std::int32_t i = state_.held[k];
+    const Double4 &s = start[k], &t = targets[k];
+    state_.x[i] = part >= 1.0 ? t : Double4{s.x + part * (t.x - s.x), s.y + part * (t.y - s.y), s.z + part * (t.z - s.z), 0.0};
+    state_.x_fixed[i] = to_fixed(load(state_.x[i]), per_unit);
+  }
+  return params_.self_contact ? excess : 0.0;
+}
+
+void Cloth::update_grasp_strain() {
+  for (const std::int32_t vertex : state_.held)
+    for (std::int32_t k = topology_->face_of_vertex_start[vertex]; k < topology_->face_of_vertex_start[vertex + 1]; ++k)
+      state_.max_grasp_strain = std::max(state_.max_grasp_strain,
+                                         elements_->principal_strain(state_.x.data(), topology_->face_of_vertex[k]));
+}
+
+double Cloth::max_speed() const {
+  double square = 0.0;
+  for (const Double4& v : state_.v) square = std::max(square, v.x * v.x + v.y * v.y + v.z * v.z);
+  return std::sqrt(square);
+}
+
+SimulatorDiagnostics Cloth::diagnostics() const {
+  require_ready("diagnostics");
+  SimulatorDiagnostics d;
+  d.max_speed = max_speed();
+  for (std::int32_t f = 0; f < elements_->face_count(); ++f)
+    d.max_strain = std::max(d.max_strain, elements_->principal_strain(state_.x.data(), f));
+  d.max_grasp_strain = state_.max_grasp_strain;
+  d.contacts = static_cast<Index>(state_.contact.touching);
+  if (d.max_grasp_strain > params_.grasp_strain_warning)
+    d.warning = "a grasp stretched the cloth by " + std::to_string(100.0 * d.max_grasp_strain) + " %, more than grasp_strain_warning = " +
+                std::to_string(100.0 * params_.grasp_strain_warning) + " %";
+  return d;
+}
+
+std::shared_ptr<const SimulatorSnapshot> Cloth::save() const {
+  require_ready("save");
+  auto snapshot = std::make_shared<Snapshot>();
+  snapshot->state = state_;
+  snapshot->garment = garment_->hash;
+  snapshot->vertices = garment_->vertex_count();
+  return snapshot;
+}
+
+void Cloth::restore(const SimulatorSnapshot& snapshot) {
+  if (!garment_) throw Error("cloth: restore() before reset()");
+  const auto* mine = dynamic_cast<const Snapshot*>(&snapshot);
+  if (!mine) throw Error("cloth: restore: the snapshot was made by another simulator, must be made by cloth");
+  if (mine->garment != garment_->hash || mine->vertices != garment_->vertex_count())
+    throw Error("cloth: restore: the snapshot is of another garment");
+  state_ = mine->state;
+  publish();
+}
+
+}  // namespace weft::cloth

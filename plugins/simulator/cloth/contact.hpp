@@ -1,0 +1,88 @@
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "simd.hpp"
+#include "topology.hpp"
+#include "weft/material.hpp"
+
+namespace weft::cloth {
+
+/// Contact of the cloth with itself: vertex-triangle and edge-edge pairs.
+///
+/// Three levels, each reused as long as motion allows. All bounds are path lengths, not speeds:
+///   candidates  pairs that can come within thickness before some vertex has moved further than its slack
+///   due         a candidate is measured again only when its vertices may have moved as far as its last free gap
+///   active      pairs within reach in the present block of substeps: normal and weights are kept for the block, the gap
+///               is evaluated in every substep
+/// Force of an active pair with gap g below its distance d: normal spring and dashpot, never pulling, and a tangential
+/// spring with a slider at mu times the normal force (Cundall & Strack 1979): resting layers stick without creep, and
+/// slide at exactly mu. The spring is as stiff as the substep allows, some micrometres deep under a layer's weight.
+/// A pair that would come closer than half its distance within a substep is stopped by an inelastic impulse, so that no
+/// pair passes through. The side of a pair is remembered as long as it is a candidate.
+class SelfContact {
+ public:
+  struct Candidate {
+    std::int32_t v[4];  ///< vertex, triangle | edge, edge
+    float due;          ///< measure when the sum of the four path bounds reaches this, m
+    float distance;     ///< m, contact distance of this pair
+    float present;      ///< m, <= distance: what is left of it after an overload, see activate()
+    float normal[3];    ///< last direction from the second to the first; zero: unknown
+    float slip[3];      ///< m, stretch of the tangential spring
+  };
+  struct Active {
+    std::int32_t v[4];
+    float weight[4];    ///< point on the first minus point on the second = sum weight x
+    float normal[3];
+    float distance;     ///< m, Candidate::present
+    float least;        ///< m, half of Candidate::distance
+    float stiffness;    ///< N/m
+    float damping;      ///< N s/m
+    float slip[3];
+    std::int32_t candidate;  ///< index; edge-edge are counted from vertex_triangle.size()
+  };
+  /// All that changes; copied by snapshots.
+  struct State {
+    bool valid = false;
+    std::vector<Candidate> vertex_triangle, edge_edge;
+    std::vector<Active> active;
+    std::vector<float> path;   ///< [V] m moved since the candidates were found
+    std::vector<float> slack;  ///< [V] m the candidates allow
+    std::int64_t touching = 0;        ///< active pairs with force in the last substep
+  };
+
+  SelfContact(const Topology& topology, const Fabric& fabric);
+
+  /// Makes sure that the candidates are good for a further motion of `reach` [V] m, else finds them anew.
+  /// @param speed [V] m/s now. @param memory scratch. Afterwards state.path counts from the last search.
+  void prepare(State& state, const Double4* x, const Fixed4* fixed, double unit, const float* speed, const float* reach,
+               double frame_seconds) const;
+  /// Chooses the pairs that can touch until the paths reach `bound` [V] m (state.path plus the reach), and their stiffness
+  /// for substeps dt (s) in a block of `block_seconds`.
+  void activate(State& state, const Fixed4* fixed, double unit, const float* bound, const float* inverse_mass, float dt,
+                float block_seconds) const;
+  /// Adds contact forces of the active pairs; lists those in danger of coming too close within dt.
+  void add_forces(State& state, const Fixed4* fixed, const Float4* v, double unit, float dt, Float4* forces,
+                  std::vector<std::int32_t>& danger) const;
+  /// Inelastic impulses on the velocities so that the dangerous pairs stay at least half their distance apart.
+  void stop(const State& state, const Fixed4* fixed, double unit, double dt, const float* inverse_mass,
+            const std::vector<std::int32_t>& danger, Double4* v) const;
+  /// Writes what the active pairs remember back to the candidates.
+  void remember(State& state) const;
+  /// Empty, with room for a fully folded cloth, so that the frame loop does not allocate.
+  void clear(State& state) const;
+
+ private:
+  void find_candidates(State& state, const Double4* x, const Fixed4* fixed, double unit, const float* speed,
+                       double frame_seconds) const;
+  float pair_distance(const std::int32_t (&v)[4], bool edges) const;
+
+  const Topology* topology_;
+  float thickness_ = 0.0f;
+  float edge_thickness_ = 0.0f;
+  float friction_ = 0.0f;
+  float least_slack_ = 0.0f;
+};
+
+}  // namespace weft::cloth

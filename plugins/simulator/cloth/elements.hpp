@@ -1,0 +1,97 @@
+#pragma once
+#include <array>
+#include <vector>
+
+#include "simd.hpp"
+#include "topology.hpp"
+#include "weft/material.hpp"
+
+namespace weft::cloth {
+
+/// Orthotropic membrane stiffness, N/m: S11 = c11 E11 + c12 E22, S22 = c12 E11 + c22 E22, S12 = g 2 E12.
+struct MembraneModuli {
+  double c11 = 0.0, c12 = 0.0, c22 = 0.0, g = 0.0;
+};
+/// From engineering constants: nu21 = nu12 K_weft / K_warp; C11 = K_warp / (1 - nu12 nu21), C12 = nu12 C22.
+MembraneModuli membrane_moduli(const Fabric& fabric);
+/// From an ARCSim/ARGUS table at Green strain (e11, e22, e12): C = 2 max(c, 0), linear in the principal strain's angle
+/// and size (0 .. 1/6, constant above). ARGUS writes C33 E12^2, so the shear modulus is g = c33 (not doubled).
+MembraneModuli membrane_moduli(const MaterialTables& tables, double multiplier, double e11, double e22, double e12);
+
+/// Plate moduli, N m: energy per rest area 1/2 (d11 |x_uu|^2 + d22 |x_vv|^2 + 2 d12 x_uu.x_vv + d33 |x_uv|^2).
+struct BendingModuli {
+  double d11 = 0.0, d22 = 0.0, d12 = 0.0, d33 = 0.0;
+};
+/// Bending along p = (c, s): B(p) = warp c^4 + weft s^4 + (4 bias - warp - weft) c^2 s^2 = d11 c^4 + d22 s^4 +
+/// (2 d12 + d33) c^2 s^2. d12 = 0 where that leaves d33 >= 0; a softer bias takes the rest out of d12.
+BendingModuli bending_moduli(double warp, double weft, double bias);
+/// From an ARCSim/ARGUS table at a curvature (1/m): B = ke / 4, linear between the columns, constant above. A row names
+/// the direction of the edge, which is the bend axis: row 0 (edge along warp) is bending along weft.
+BendingModuli bending_moduli(const MaterialTables& tables, double multiplier, double curvature);
+
+/// Eight triangles, lane by lane. Padding lanes have zero stiffness and vertex 0.
+struct alignas(32) ElementBlock {
+  std::int32_t node[6][8];  ///< the triangle's corners, then the vertex across from each (or corner 0: weight 0)
+  float gradient[4][8];     ///< u from edges 1, 2; v from edges 1, 2: x_u = g0 (x1 - x0) + g1 (x2 - x0); times unit
+  float stiffness[4][8];    ///< area (c11, c12, c22, g) / unit, N m
+  float bend[3][5][8];      ///< row k: sqrt(area eigenvalue) times second derivative, of nodes 1..5 relative to node 0
+};
+
+/// The internal forces: constant-strain membrane triangles and six-node bending patches.
+///
+/// Membrane: Green strain E = (F^T F - 1)/2 of the linear triangle, St. Venant-Kirchhoff, moduli above.
+/// Bending: a quadratic through the triangle's corners and the three vertices across its edges, in rest coordinates,
+/// gives constant second derivatives x_uu, x_vv, x_uv (vectors). Where the sheet does not stretch, |x_uu| is the normal
+/// curvature along u, so the plate energy is a quadratic form of positions with constant weights: no normals, no angles,
+/// exact for every quadratic shape on every mesh. At a free edge the missing vertex is put where it costs least energy
+/// (static condensation), which is the natural boundary condition: no bending moment across the edge.
+class Elements {
+ public:
+  Elements(const Topology& topology, const Fabric& fabric);
+
+  /// m per fixed-point unit; a power of four, so that scaling by it or its root is exact.
+  double unit() const { return unit_; }
+  /// forces += internal forces, N. velocities are read only when the fabric is damped.
+  /// @return the largest (1 + stretch stiffening) over all elements: max |x_u|^2, |x_v|^2.
+  float add_forces(const Fixed4* x, const Float4* v, Float4* forces) const;
+  /// Tables only: moduli from the present strain and curvature (secant, lagged to this call).
+  void update_moduli(const Double4* x);
+  bool nonlinear() const { return fabric_.tables != nullptr; }
+  bool damped() const { return fabric_.damping_stretch_s > 0.0 || fabric_.damping_bend_s > 0.0; }
+
+  /// Linearised stiffness at the flat rest shape: out = K u for in-plane displacements u [V][2].
+  void membrane_stiffness(const std::vector<std::array<double, 2>>& u, std::vector<std::array<double, 2>>& out) const;
+  /// out = K w, bending; the same for each coordinate.
+  void bending_stiffness(const std::vector<double>& w, std::vector<double>& out) const;
+  /// Upper bound of the moduli over all strains, for the step size.
+  const MembraneModuli& stiffest_membrane() const { return stiffest_membrane_; }
+
+  /// Green strain (e11, e22, e12) of a face.
+  std::array<double, 3> strain(const Double4* x, std::int32_t face) const;
+  /// Largest |principal stretch - 1| of a face.
+  double principal_strain(const Double4* x, std::int32_t face) const;
+  std::int32_t face_count() const { return static_cast<std::int32_t>(topology_->faces.size()); }
+
+ private:
+  struct Patch {
+    std::array<std::int32_t, 6> node;
+    std::array<std::array<double, 6>, 3> second;  ///< (uu, vv, uv) of the quadratic, 1/m^2
+    std::array<bool, 3> ghost;
+  };
+  void make_patch(std::int32_t face, Patch& patch) const;
+  void set_bending(std::int32_t face, const BendingModuli& moduli);
+  void set_membrane(std::int32_t face, const MembraneModuli& moduli);
+  template <bool kDamped>
+  float add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces) const;
+
+  const Topology* topology_;
+  Fabric fabric_;
+  double unit_ = 0.0;
+  std::vector<std::array<double, 4>> gradient_;  ///< [f] as in ElementBlock, 1/m
+  std::vector<Patch> patches_;
+  std::vector<ElementBlock> blocks_;
+  std::vector<std::array<std::array<double, 6>, 3>> factors_;  ///< [f] rows of sqrt(area D) second, double
+  MembraneModuli stiffest_membrane_;
+};
+
+}  // namespace weft::cloth

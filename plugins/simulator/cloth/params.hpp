@@ -1,0 +1,29 @@
+#pragma once
+#include "weft/params.hpp"
+
+namespace weft::cloth {
+
+struct Params {
+  std::int64_t min_substeps = 1;
+  std::int64_t max_substeps = 4000;
+  double step_safety = 0.8;
+  double settle_damping_per_s = 6.0;
+  double grasp_strain_warning = 0.15;
+  bool self_contact = true;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("min_substeps", min_substeps, range(1, 4000),
+      "Fewest substeps per 1/60 s frame; the stability bound of mesh and fabric may ask for more.");
+    v("max_substeps", max_substeps, range(1, 20000),
+      "Most substeps per frame; a fabric that needs more at `step_safety` ends as diverged instead of running forever.");
+    v("step_safety", step_safety, range(0.1, 0.95), "Substep as a part of the explicit stability limit.");
+    v("settle_damping_per_s", settle_damping_per_s, range(0.0, 100.0, "1/s"),
+      "Air drag added during settle() only, so that a dropped sheet comes to rest in about a second.");
+    v("grasp_strain_warning", grasp_strain_warning, range(0.0, 10.0),
+      "In-plane strain at a held vertex above which diagnostics() warns.");
+    v("self_contact", self_contact, "Whether layers of cloth keep their thickness apart.");
+  }
+};
+
+}  // namespace weft::cloth

@@ -1,0 +1,4 @@
+#include "cloth.hpp"
+#include "weft/plugin.hpp"
+
+WEFT_PLUGIN(weft::Simulator, weft::cloth::Cloth, weft::cloth::Params, "cloth", "1.0.0")

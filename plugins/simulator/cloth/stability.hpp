@@ -1,0 +1,21 @@
+#pragma once
+#include <vector>
+
+#include "elements.hpp"
+
+namespace weft::cloth {
+
+/// Largest eigenvalues of M^-1 K at the flat rest shape, 1/s^2, by power iteration (5 % added for what it misses).
+struct Spectrum {
+  double membrane = 0.0;
+  double bending = 0.0;
+};
+Spectrum largest_frequencies(const Elements& elements, const std::vector<double>& masses);
+
+/// Longest stable substep of the symplectic step v += dt a(x, v), x += dt v, as a part `safety` of the limit:
+///     dt^2/4 sum_k lambda_k (1 + 2 beta_k / dt) <= safety^2
+/// with stiffness-proportional damping beta_k, s. [for one mode: dt^2 lambda/4 + dt beta lambda/2 <= 1 from the
+/// characteristic polynomial of the step; sums bound the modes of a sum of stiffnesses.]
+double stable_step(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double safety);
+
+}  // namespace weft::cloth
