@@ -1,0 +1,243 @@
+// The planner (section 4) with the paper's trajectory and optimiser on a predictor that is a closed formula.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "optimiser/rprop/rprop.cpp"
+#include "trajectory/arc/arc.cpp"
+#include "weft/planner.hpp"
+
+namespace weft {
+namespace {
+
+class QuietHost final : public Host {
+ public:
+  int threads() const override { return 1; }
+  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
+    for (std::int64_t i = 0; i < count; ++i) body(i);
+  }
+  bool cancelled() const override { return false; }
+  void log(LogLevel, const std::string&) override {}
+  std::uint64_t seed() const override { return 1; }
+
+ protected:
+  std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override { return nullptr; }
+};
+
+/// The shape after segment j is the pair of grasp targets at that control state, so a goal is reached exactly by the controls
+/// that made it, and the gradient is the chain of the trajectory's own pullbacks.
+class TargetsPrediction final : public Prediction {
+ public:
+  TargetsPrediction(const Task& task, const std::vector<PredictionCase>& cases) : task_(task), cases_(cases) {
+    for (const auto& one : cases) {
+      const Controls states = task.trajectory->segment_states(task.manipulation, one.state, one.controls);
+      std::vector<ShapeDistribution> shapes;
+      for (const Index j : one.segments) {
+        const Positions targets = task.trajectory->targets(task.manipulation, states.row(j - 1).transpose());
+        shapes.push_back({targets, Positions::Constant(targets.rows(), 3, 1e-3)});
+      }
+      shapes_.push_back(shapes);
+    }
+  }
+  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
+  const std::string& failure(std::size_t) const override { return none_; }
+  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
+    std::vector<CaseGradient> result;
+    const auto& trajectory = *task_.trajectory;
+    for (std::size_t i = 0; i < cases_.size(); ++i) {
+      const auto& one = cases_[i];
+      CaseGradient gradient;
+      gradient.controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+      std::vector<Vector> states{one.state};
+      for (Index f = 0; f < one.controls.rows() * kFramesPerSegment; ++f) {
+        states.push_back(trajectory.advance(task_.manipulation, states.back(), one.controls.row(f / kFramesPerSegment).transpose()));
+      }
+      for (std::size_t k = 0; k < one.segments.size(); ++k) {
+        if (cotangents[i][k].mean.rows() == 0) continue;
+        const Index last = one.segments[k] * kFramesPerSegment;
+        Vector d = trajectory.targets_pullback(task_.manipulation, states[static_cast<std::size_t>(last)], cotangents[i][k].mean);
+        for (Index f = last - 1; f >= 0; --f) {
+          Vector d_state, d_control;
+          trajectory.advance_pullback(task_.manipulation, states[static_cast<std::size_t>(f)],
+                                      one.controls.row(f / kFramesPerSegment).transpose(), d, d_state, d_control);
+          gradient.controls.row(f / kFramesPerSegment) += d_control.transpose();
+          d = d_state;
+        }
+      }
+      result.push_back(gradient);
+    }
+    return result;
+  }
+
+ private:
+  Task task_;
+  std::vector<PredictionCase> cases_;
+  std::vector<std::vector<ShapeDistribution>> shapes_;
+  std::string none_;
+};
+
+class TargetsPredictor final : public Predictor {
+ public:
+  bool has_gradients = true;
+  PredictorCapabilities capabilities() const override { return {.gradients = has_gradients}; }
+  void bind(const Task& task) override { task_ = task; }
+  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases, const PredictionRequest&) const override {
+    return std::make_unique<TargetsPrediction>(task_, cases);
+  }
+
+ private:
+  Task task_;
+};
+
+struct Bench {
+  QuietHost host;
+  Task task;
+  std::shared_ptr<TargetsPredictor> predictor = std::make_shared<TargetsPredictor>();
+  std::shared_ptr<Optimiser> optimiser = std::make_shared<rprop::Rprop>(rprop::Params());
+  PlannerParams params;
+  PlanRequest request;
+
+  Bench() {
+    Garment garment;
+    garment.positions.resize(2, 3);
+    garment.positions << 0, 0.2, 0.002, 0, -0.2, 0.002;
+    task.garment = std::make_shared<const Garment>(garment);
+    task.manipulation.grasp_vertices = {0, 1};
+    task.manipulation.grasp_points = garment.positions;
+    task.manipulation.displacement = {0.6, 0.0};
+    task.manipulation.contact_height = 0.002;
+    task.trajectory = std::make_shared<arc::Arc>(arc::Params());
+    predictor->bind(task);
+    request.shape = std::make_shared<const Positions>(garment.positions);
+    request.state = task.trajectory->initial_state(task.manipulation);
+    request.seed = 3;
+    // A goal that other controls than the default's reach: turned, shifted, at another radius.
+    Controls controls = task.trajectory->default_controls(25);
+    controls.col(2).setConstant(0.15);
+    controls.col(3).setConstant(3e-4);
+    controls.col(4).setConstant(-2e-4);
+    const Index u = task.trajectory->release_segment(task.manipulation, request.state, controls);
+    const Controls states = task.trajectory->segment_states(task.manipulation, request.state, controls);
+    request.goal = std::make_shared<const Positions>(
+        task.trajectory->targets(task.manipulation, states.row(u - 1).transpose()));
+    params.instances = 4;
+    params.iterations = 120;
+    params.activity_weight = 0.01;
+  }
+  Plan plan() { return Planner(task, predictor, optimiser, params, host).plan(request); }
+};
+
+TEST(Planner, ReachesAGoalOffTheDefaultTrajectory) {
+  Bench setup;
+  const Index default_u = setup.task.trajectory->release_segment(setup.task.manipulation, setup.request.state,
+                                                                 setup.task.trajectory->default_controls(25));
+  const Controls default_states =
+      setup.task.trajectory->segment_states(setup.task.manipulation, setup.request.state, setup.task.trajectory->default_controls(25));
+  const double default_error = mean_distance_mm(
+      setup.task.trajectory->targets(setup.task.manipulation, default_states.row(default_u - 1).transpose()), *setup.request.goal);
+  ASSERT_GT(default_error, 30.0);
+  const Plan plan = setup.plan();
+  EXPECT_LT(plan.predicted_error_mm, 2.0);
+  EXPECT_TRUE(plan.releases);
+}
+
+TEST(Planner, PlanEndsWithItsReleaseSegment) {
+  Bench setup;
+  const Plan plan = setup.plan();
+  EXPECT_EQ(plan.horizon, 25);
+  EXPECT_EQ(plan.controls.rows(),
+            setup.task.trajectory->release_segment(setup.task.manipulation, setup.request.state, plan.controls));
+  EXPECT_LT(plan.controls.rows(), 25);
+  EXPECT_EQ(static_cast<Index>(plan.shapes.size()), plan.controls.rows());
+}
+
+TEST(Planner, LaterPlansStartFromTheWarmStartWithLengthPlusLeeway) {
+  Bench setup;
+  setup.params.replan_iterations = 0;  // nothing but the starts: the un-noised warm start must be one of them
+  setup.request.warm_start = setup.task.trajectory->default_controls(6);
+  setup.request.warm_start.col(0).setConstant(2.6);
+  setup.request.round = 1;
+  const Plan plan = setup.plan();
+  EXPECT_EQ(plan.horizon, 6 + setup.params.leeway);
+  setup.params.instances = 1;
+  const Plan bare = setup.plan();
+  EXPECT_EQ(bare.controls.topRows(6), setup.request.warm_start);
+  EXPECT_LE(plan.loss, bare.loss);
+}
+
+TEST(Planner, TheBestResidualLossWins) {
+  Bench setup;
+  setup.params.iterations = 5;
+  const Plan plan = setup.plan();
+  ASSERT_EQ(plan.losses.size(), 4u);
+  EXPECT_EQ(plan.loss, *std::min_element(plan.losses.begin(), plan.losses.end()));
+  EXPECT_EQ(plan.loss, plan.losses[static_cast<std::size_t>(plan.instance)]);
+}
+
+TEST(Planner, SameSeedSameBitsAndAnotherSeedAnotherSearch) {
+  Bench setup;
+  setup.params.iterations = 5;
+  const Plan a = setup.plan(), b = setup.plan();
+  EXPECT_EQ(a.controls, b.controls);
+  EXPECT_EQ(a.losses, b.losses);
+  setup.request.seed = 4;
+  EXPECT_NE(a.losses, setup.plan().losses);
+}
+
+TEST(Planner, ReplayedIterationsRepeatARunThatWasLimitedByTime) {
+  Bench setup;
+  setup.params.time_budget_s = 1e-9;
+  const Plan limited = setup.plan();
+  EXPECT_LT(limited.iterations, 120);
+  setup.params.time_budget_s = 0;
+  setup.params.replay_iterations = {static_cast<double>(limited.iterations)};
+  EXPECT_EQ(setup.plan().controls, limited.controls);
+}
+
+TEST(Planner, RefusesAnOptimiserThatNeedsGradientsThatAreNotThere) {
+  Bench setup;
+  setup.predictor->has_gradients = false;
+  EXPECT_THROW(setup.plan(), Unsupported);
+}
+
+TEST(ActivityLoss, IsZeroForASteadyTrajectoryAndPositiveForAJerkyOrSlowOne) {
+  Bench setup;
+  const Controls steady = setup.task.trajectory->default_controls(10);
+  EXPECT_EQ(activity_loss(setup.task, setup.request.state, steady, 8, 10.0, nullptr), 0.0);
+  Controls jerky = steady;
+  jerky(3, 2) += 0.5;
+  EXPECT_GT(activity_loss(setup.task, setup.request.state, jerky, 8, 10.0, nullptr), 0.0);
+  Controls slow = steady;
+  slow.col(0).setConstant(1.0);  // 12 deg a segment: 180 deg would need 15 of the 10 segments
+  EXPECT_GT(activity_loss(setup.task, setup.request.state, slow, 10, 10.0, nullptr), 0.0);
+}
+
+TEST(ActivityLoss, GradientEqualsCentralDifferences) {
+  Bench setup;
+  Controls controls = setup.task.trajectory->default_controls(9);
+  RandomStream random(5);
+  const auto variables = setup.task.trajectory->controls();
+  for (Index j = 0; j < controls.rows(); ++j) {
+    for (Index c = 0; c < controls.cols(); ++c) {
+      controls(j, c) += 0.5 * variables[static_cast<std::size_t>(c)].scale * random.normal();
+    }
+  }
+  controls(2, 0) = 0.7;  // slow on purpose
+  Controls gradient;
+  activity_loss(setup.task, setup.request.state, controls, 7, 10.0, &gradient);
+  for (Index j = 0; j < controls.rows(); ++j) {
+    for (Index c = 0; c < controls.cols(); ++c) {
+      const double scale = variables[static_cast<std::size_t>(c)].scale, h = 1e-5 * scale;
+      Controls up = controls, down = controls;
+      up(j, c) += h;
+      down(j, c) -= h;
+      const double expected = (activity_loss(setup.task, setup.request.state, up, 7, 10.0, nullptr) -
+                               activity_loss(setup.task, setup.request.state, down, 7, 10.0, nullptr)) / (2 * h);
+      EXPECT_NEAR(gradient(j, c) * scale, expected * scale, 1e-5) << j << ", " << c;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace weft
