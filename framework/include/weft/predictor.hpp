@@ -70,7 +70,7 @@ struct CaseDirection {
 };
 
 /// Result of one batched prediction, with what is needed to differentiate it. Owns everything: several are alive at once.
-class Prediction {
+class WEFT_API Prediction {
  public:
   virtual ~Prediction() = default;
   /// [cases][case.segments]: in the order asked for.
@@ -94,7 +94,7 @@ struct PredictorCapabilities {
 };
 
 /// Predicts shapes from a start shape, controls and material knowledge (section 2.3). Thread-safe after bind().
-class Predictor {
+class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
   static constexpr int kVersion = 1;  // bump on any change to this class or the types above

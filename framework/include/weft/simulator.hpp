@@ -41,7 +41,7 @@ struct SimulatorDiagnostics {
 };
 
 /// Opaque copy of a simulator's whole state; only the plugin that made it reads it. Immutable, shareable.
-class SimulatorSnapshot {
+class WEFT_API SimulatorSnapshot {
  public:
   virtual ~SimulatorSnapshot() = default;
 };
@@ -58,7 +58,7 @@ struct SimulatorCapabilities {
 /// One piece of cloth, simulated. Call order: reset, then any of the others. One object is used by one thread at a time;
 /// many objects run in parallel and do not affect one another: same calls, same bits.
 /// Non-finite state never leaves: step() and settle() throw Diverged naming the frame, and the object must be reset.
-class Simulator {
+class WEFT_API Simulator {
  public:
   static constexpr const char* kKind = "simulator";
   static constexpr int kVersion = 1;  // bump on any change to this class or the types above

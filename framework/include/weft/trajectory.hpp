@@ -28,7 +28,7 @@ struct SegmentPath {
 /// A control row [C] holds per-frame deltas that are constant within a segment. The control state [S] accumulates them;
 /// grasp targets are a function of the state alone. An optimiser searches over a decision vector x [D], which `decode`
 /// maps to controls [k, C]; for most trajectories x is the controls themselves, row by row.
-class Trajectory {
+class WEFT_API Trajectory {
  public:
   static constexpr const char* kKind = "trajectory";
   static constexpr int kVersion = 1;  // bump on any change to this class
