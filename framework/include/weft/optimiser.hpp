@@ -12,13 +12,15 @@ namespace weft {
 
 struct ObjectiveCapabilities {
   bool gradients = false;
-  Index residuals = 0;  ///< > 0: cost = 1/2 |residuals|^2 and residuals with Jacobian are offered
+  Index residuals = 0;  ///< > 0: cost = 1/2 |residuals|^2, and residuals and Jacobians are offered
 };
 
 /// What an objective is asked for on a batch of n points.
 struct EvaluationRequest {
   bool gradients = false;
-  bool residuals = false;  ///< residuals and Jacobians
+  bool residuals = false;
+  bool jacobians = false;  ///< of the residuals; only together with them
+  bool operator==(const EvaluationRequest&) const = default;
 };
 
 /// Results for n points. A point that cannot be evaluated has cost = +infinity (and anything in its other entries).
@@ -35,8 +37,9 @@ class Objective {
   virtual ~Objective() = default;
   virtual Index dim() const = 0;
   virtual ObjectiveCapabilities capabilities() const = 0;
-  /// @param x [dim, n]; @param instances [n]: which instance each column belongs to, ascending, each at most once (noise and
-  /// batch rows are keyed on it). @throws Unsupported for what capabilities() does not offer.
+  /// @param x [dim, n]; @param instances [n]: which instance each column belongs to, ascending (noise is keyed on it).
+  /// Solvers that sample a population give an instance several columns in one call; the others one.
+  /// @throws Unsupported for what capabilities() does not offer.
   virtual Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& request) = 0;
 };
 
@@ -61,8 +64,9 @@ struct OptimiserResult {
   Index evaluations = 0;
 };
 
-/// Called after every iteration with the best cost so far of every instance [instances] (+infinity before the first finite
-/// one); returning false stops the search. Called on the thread that called minimise.
+/// Called after every batch of evaluations (for most solvers that is an iteration) with the number of calls before this one
+/// and the best cost so far of every instance [instances] (+infinity before the first finite one); returning false stops
+/// the search there. Called on the thread that called minimise.
 using OptimiserObserver = std::function<bool(Index iteration, const Vector& best_costs)>;
 
 struct OptimiserCapabilities {
@@ -88,5 +92,10 @@ class Optimiser {
   virtual std::vector<OptimiserResult> minimise(Objective& objective, ConstMatrix starts, const Box& bounds, ConstVec scale,
                                                 const OptimiserOptions& options, const OptimiserObserver& observer) const = 0;
 };
+
+/// What every solver demands of its input, checked before the first evaluation; `who` starts the messages.
+/// @throws ShapeError for sizes; Error for a start, bound or scale that is not finite, lower > upper, or scale <= 0.
+WEFT_API void check_search(const std::string& who, const Objective& objective, ConstMatrix starts, const Box& bounds,
+                           ConstVec scale);
 
 }  // namespace weft
