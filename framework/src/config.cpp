@@ -5,16 +5,18 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <cstring>
 #include <fstream>
 #include <limits>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <sstream>
 
 namespace weft {
 
 struct ConfigNode::Data {
   Kind kind = Kind::null;
-  std::string text;      // of a scalar
+  std::string text;        // of a scalar
   bool is_quoted = false;  // a scalar that is a string whatever it looks like
   std::vector<std::pair<std::string, ConfigNode>> entries;
   std::vector<ConfigNode> items;
@@ -36,8 +38,9 @@ namespace {
 using Access = ConfigNodeAccess;
 namespace fs = std::filesystem;
 
-constexpr int kMaxDepth = 64;         // deeper YAML is an attack, not a configuration
-constexpr std::size_t kMaxNodes = 1'000'000;  // YAML aliases can multiply without bound
+constexpr int kMaxDepth = 64;                      // deeper YAML is an attack, not a configuration
+constexpr std::size_t kMaxNodes = 200'000;         // YAML aliases can multiply without bound
+constexpr std::streamsize kMaxBytes = 16'000'000;  // of a file
 
 std::string join(const std::string& path, std::string_view key) {
   return path.empty() ? std::string(key) : path + "." + std::string(key);
@@ -46,79 +49,138 @@ std::string join(const std::string& path, std::string_view key) {
 struct Source {
   std::string name;
   fs::path folder;
+  bool has_lines = true;  // false: one line on the command line, where a number says nothing
   std::size_t nodes = 0;
+
+  int line(const YAML::Mark& mark) const { return has_lines && mark.line >= 0 ? mark.line + 1 : 0; }
 };
 
 [[noreturn]] void fail_at(const std::string& file, int line, const std::string& message) {
   throw ConfigError(file + (line > 0 ? ":" + std::to_string(line) : "") + ": " + message);
 }
 
-ConfigNode convert(const YAML::Node& node, Source& source, const std::string& path, int depth) {
-  const int line = node.Mark().line + 1;
+// Line of the first byte that is not UTF-8, or 0.
+int line_that_is_not_utf8(std::string_view text) {
+  int line = 1;
+  for (std::size_t i = 0; i < text.size();) {
+    const auto byte = [&](std::size_t k) { return k < text.size() ? static_cast<unsigned char>(text[k]) : 0u; };
+    const unsigned first = byte(i);
+    if (first == '\n') ++line;
+    const std::size_t length = first < 0x80         ? 1
+                               : first >> 5 == 0x6  ? 2
+                               : first >> 4 == 0xe  ? 3
+                               : first >> 3 == 0x1e ? 4
+                                                    : 0;
+    if (length == 0) return line;
+    std::uint32_t code = length == 1 ? first : first & (0x7fu >> length);
+    for (std::size_t k = 1; k < length; ++k) {
+      if (byte(i + k) >> 6 != 0x2) return line;
+      code = code << 6 | (byte(i + k) & 0x3fu);
+    }
+    constexpr std::uint32_t kLeast[] = {0, 0, 0x80, 0x800, 0x10000};
+    if (code < kLeast[length] || code > 0x10ffff || (code >= 0xd800 && code <= 0xdfff)) return line;
+    i += length;
+  }
+  return 0;
+}
+
+/// @param line where messages about this node point to: of its key, since an alias stands where its anchor is.
+ConfigNode convert(const YAML::Node& node, Source& source, const std::string& path, int line, int depth) {
+  const auto fail = [&](const std::string& message) {
+    fail_at(source.name, line, path.empty() ? message : path + " " + message);
+  };
   if (depth > kMaxDepth) fail_at(source.name, line, "nested deeper than " + std::to_string(kMaxDepth) + " levels");
-  if (++source.nodes > kMaxNodes) fail_at(source.name, line, "more than a million nodes");
+  if (++source.nodes > kMaxNodes) {
+    fail_at(source.name, line,
+            "holds more than " + std::to_string(kMaxNodes) + " values (aliases counted as often as used)");
+  }
   ConfigNode::Kind kind = ConfigNode::Kind::null;
   std::string text;
   bool is_quoted = false;
   std::vector<std::pair<std::string, ConfigNode>> entries;
   std::vector<ConfigNode> items;
+  const std::string& tag = node.Tag();
+  if (!tag.empty() && tag != "?" && tag != "!" && tag != "tag:yaml.org,2002:str") {
+    fail("has the tag " + tag + ", must have none");
+  }
   if (node.IsScalar()) {
     kind = ConfigNode::Kind::scalar;
     text = node.Scalar();
-    is_quoted = node.Tag() == "!";
+    is_quoted = tag == "!" || tag == "tag:yaml.org,2002:str";
   } else if (node.IsSequence()) {
     kind = ConfigNode::Kind::sequence;
     for (std::size_t i = 0; i < node.size(); ++i) {
-      items.push_back(convert(node[i], source, join(path, std::to_string(i)), depth + 1));
+      items.push_back(convert(node[i], source, join(path, std::to_string(i)), source.line(node[i].Mark()), depth + 1));
     }
   } else if (node.IsMap()) {
     kind = ConfigNode::Kind::mapping;
+    std::set<std::string> seen;
     for (const auto& entry : node) {
-      if (!entry.first.IsScalar()) fail_at(source.name, entry.first.Mark().line + 1, "a key must be a plain text");
-      const std::string key = entry.first.Scalar();
-      for (const auto& other : entries) {
-        if (other.first == key) {
-          fail_at(source.name, entry.first.Mark().line + 1, join(path, key) + " is given twice");
-        }
-      }
-      entries.emplace_back(key, convert(entry.second, source, join(path, key), depth + 1));
+      const int key_line = source.line(entry.first.Mark());
+      if (!entry.first.IsScalar()) fail_at(source.name, key_line, "a key must be a plain text");
+      const std::string& key = entry.first.Scalar();
+      if (!seen.insert(key).second) fail_at(source.name, key_line, join(path, key) + " is given twice");
+      entries.emplace_back(key, convert(entry.second, source, join(path, key), key_line, depth + 1));
     }
   }
-  return Access::make({kind, std::move(text), is_quoted, std::move(entries), std::move(items), source.name, line,
-                       source.folder, path});
+  return Access::make(
+      {kind, std::move(text), is_quoted, std::move(entries), std::move(items), source.name, line, source.folder, path});
 }
 
 ConfigNode parse_text(std::string_view text, Source& source) {
+  if (const int line = line_that_is_not_utf8(text)) fail_at(source.name, line, "is not UTF-8 text");
   try {
     const auto documents = YAML::LoadAll(std::string(text));
     if (documents.size() > 1) fail_at(source.name, 0, "holds several YAML documents, must be one");
     if (documents.empty()) return Access::make({.file = source.name, .folder = source.folder});
-    return convert(documents[0], source, "", 0);
+    return convert(documents[0], source, "", source.line(documents[0].Mark()), 0);
   } catch (const YAML::Exception& error) {
-    fail_at(source.name, error.mark.line + 1, "not valid YAML: " + error.msg);
+    fail_at(source.name, source.line(error.mark), "not valid YAML: " + error.msg);
   }
 }
 
-ConfigNode load_file(const fs::path& file, std::vector<fs::path>& chain) {
+// What stands before a message about a file: the `extends` that names it, if any.
+using Asker = std::optional<ConfigNode>;
+[[noreturn]] void fail_file(const fs::path& file, const Asker& asker, const std::string& message) {
+  const std::string text = file.string() + ": " + message;
+  throw ConfigError(asker ? asker->where() + ": extends: " + text : text);
+}
+
+std::string read_text(const fs::path& file, const Asker& asker) {
+  std::error_code ignored;
+  if (fs::is_directory(file, ignored)) fail_file(file, asker, "is a folder, must be a YAML file");
+  std::ifstream stream(file, std::ios::binary);
+  if (!stream) {
+    fail_file(file, asker, fs::exists(file, ignored) ? "cannot be read" : "no such file, must be a YAML file");
+  }
+  std::string text;
+  char block[1 << 16];
+  while (stream.read(block, sizeof(block)) || stream.gcount() > 0) {
+    text.append(block, static_cast<std::size_t>(stream.gcount()));
+    if (static_cast<std::streamsize>(text.size()) > kMaxBytes) {
+      fail_file(file, asker, "is larger than " + std::to_string(kMaxBytes / 1'000'000) + " MB, must be a YAML file");
+    }
+  }
+  if (stream.bad()) fail_file(file, asker, "cannot be read to its end");
+  return text;
+}
+
+ConfigNode load_file(const fs::path& file, std::vector<fs::path>& chain, const Asker& asker) {
   std::error_code ignored;
   const fs::path canonical = fs::weakly_canonical(file, ignored);
   if (std::find(chain.begin(), chain.end(), canonical) != chain.end()) {
-    throw ConfigError(file.string() + ": extends itself through " + chain.back().string());
+    fail_file(file, asker, "extends itself" + (chain.back() == canonical ? "" : " through " + chain.back().string()));
   }
-  if (fs::is_directory(file, ignored)) throw ConfigError(file.string() + ": is a folder, must be a YAML file");
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) throw ConfigError(file.string() + ": cannot be read, must be a YAML file");
-  std::ostringstream text;
-  text << stream.rdbuf();
+  const std::string text = read_text(file, asker);
   Source source{file.string(), file.parent_path().empty() ? fs::path(".") : file.parent_path()};
-  ConfigNode node = parse_text(text.str(), source);
+  ConfigNode node = parse_text(text, source);
   if (!node.is_mapping()) return node;
   const auto base = node.find("extends");
   if (!base) return node;
   chain.push_back(canonical);
-  const ConfigNode parent = load_file(base->as_path(), chain);
+  const ConfigNode parent = load_file(base->as_path(), chain, base);
   chain.pop_back();
-  if (!parent.is_mapping()) base->fail("names a file that is no mapping");
+  if (!parent.is_mapping()) base->fail("= " + base->as_string() + ", must be a file that holds a mapping");
   return parent.merged(node.without("extends"));
 }
 
@@ -128,16 +190,21 @@ ConfigNode repath(const ConfigNode& node, const std::string& path) {
   auto copy = data;
   copy.path = path;
   for (auto& [key, value] : copy.entries) value = repath(value, join(path, key));
-  for (std::size_t i = 0; i < copy.items.size(); ++i) copy.items[i] = repath(copy.items[i], join(path, std::to_string(i)));
+  for (std::size_t i = 0; i < copy.items.size(); ++i)
+    copy.items[i] = repath(copy.items[i], join(path, std::to_string(i)));
   return Access::make(std::move(copy));
 }
 
 const char* kind_name(ConfigNode::Kind kind) {
   switch (kind) {
-    case ConfigNode::Kind::null: return "nothing";
-    case ConfigNode::Kind::scalar: return "a value";
-    case ConfigNode::Kind::sequence: return "a list";
-    case ConfigNode::Kind::mapping: return "a mapping";
+    case ConfigNode::Kind::null:
+      return "nothing";
+    case ConfigNode::Kind::scalar:
+      return "a value";
+    case ConfigNode::Kind::sequence:
+      return "a list";
+    case ConfigNode::Kind::mapping:
+      return "a mapping";
   }
   return "";
 }
@@ -153,26 +220,49 @@ std::string shown(const ConfigNode& node) {
   node.fail("= " + shown(node) + ", must be " + wanted);
 }
 
-bool reads_as_plain_string(const std::string& text) {
-  if (text.empty() || text == "~" || text == "null" || text == "true" || text == "false") return false;
-  if (std::isspace(static_cast<unsigned char>(text.front())) || std::isspace(static_cast<unsigned char>(text.back()))) {
-    return false;
+// The number that a text is: decimal, with an optional sign and exponent, or .inf; not "inf", "nan" or hexadecimal.
+std::optional<double> number_of(std::string_view text) {
+  const bool negative = text.starts_with('-');
+  std::string_view digits = text;
+  if (negative || text.starts_with('+')) digits.remove_prefix(1);
+  if (digits == ".inf" || digits == ".Inf" || digits == ".INF") {
+    return negative ? -std::numeric_limits<double>::infinity() : std::numeric_limits<double>::infinity();
   }
-  return text.find_first_of(":#{}[],&*!|>'\"%@`\n\r\t\\") == std::string::npos && text.front() != '-' &&
-         text.front() != '?';
+  if (digits.empty() || (digits[0] != '.' && (digits[0] < '0' || digits[0] > '9'))) return std::nullopt;
+  double value = 0;
+  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
+  if (error != std::errc() || end != digits.data() + digits.size()) return std::nullopt;
+  return negative ? -value : value;
 }
 
-bool looks_like_number(const std::string& text) {
-  double value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  return error == std::errc() && end == text.data() + text.size();
+bool is_nan_text(std::string_view text) { return text == ".nan" || text == ".NaN" || text == ".NAN"; }
+
+// What YAML reads back as the same text without quotes, leaving numbers and booleans aside.
+bool reads_as_plain_string(const std::string& text) {
+  if (text.empty() || text == "~" || text == "null" || text == "Null" || text == "NULL") return false;
+  if (text.front() == ' ' || text.back() == ' ' || text.front() == '-' || text.front() == '?' ||
+      text.starts_with("...")) {
+    return false;
+  }
+  return std::none_of(text.begin(), text.end(), [](char c) {
+    return static_cast<unsigned char>(c) < 0x20 || c == 0x7f || std::strchr(":#{}[],&*!|>'\"%@`\\=", c) != nullptr;
+  });
+}
+
+bool looks_like_something_else(const std::string& text) {
+  return number_of(text) || is_nan_text(text) || text == "true" || text == "false";
+}
+
+std::string json_string(const std::string& text) {
+  return nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
 std::string yaml_scalar(const ConfigNode& node) {
   const auto& data = Access::data(node);
-  if (!data.is_quoted && (looks_like_number(data.text) || data.text == "true" || data.text == "false")) return data.text;
-  if (reads_as_plain_string(data.text) && !(data.is_quoted && looks_like_number(data.text))) return data.text;
-  return nlohmann::json(data.text).dump();  // a JSON string is a YAML string
+  const bool other = looks_like_something_else(data.text);
+  if (!data.is_quoted && other) return data.text;
+  if (reads_as_plain_string(data.text) && !other) return data.text;
+  return json_string(data.text);  // a JSON string is a YAML string
 }
 
 void write_yaml(const ConfigNode& node, std::ostream& out, int indent, bool inline_allowed);
@@ -198,8 +288,12 @@ void write_yaml(const ConfigNode& node, std::ostream& out, int indent, bool inli
   const auto& data = Access::data(node);
   const std::string pad(static_cast<std::size_t>(indent), ' ');
   switch (data.kind) {
-    case ConfigNode::Kind::null: out << "null"; break;
-    case ConfigNode::Kind::scalar: out << yaml_scalar(node); break;
+    case ConfigNode::Kind::null:
+      out << "null";
+      break;
+    case ConfigNode::Kind::scalar:
+      out << yaml_scalar(node);
+      break;
     case ConfigNode::Kind::sequence:
       if (inline_allowed || is_short_list(node)) {
         if (!inline_allowed) out << pad;
@@ -223,7 +317,7 @@ void write_yaml(const ConfigNode& node, std::ostream& out, int indent, bool inli
         break;
       }
       for (const auto& [key, value] : data.entries) {
-        out << pad << (reads_as_plain_string(key) ? key : nlohmann::json(key).dump()) << ':';
+        out << pad << (reads_as_plain_string(key) ? key : json_string(key)) << ':';
         write_value(value, out, indent);
       }
       break;
@@ -233,14 +327,15 @@ void write_yaml(const ConfigNode& node, std::ostream& out, int indent, bool inli
 nlohmann::ordered_json to_json_value(const ConfigNode& node) {
   const auto& data = Access::data(node);
   switch (data.kind) {
-    case ConfigNode::Kind::null: return nullptr;
+    case ConfigNode::Kind::null:
+      return nullptr;
     case ConfigNode::Kind::scalar: {
       if (data.is_quoted) return data.text;
       if (data.text == "true" || data.text == "false") return data.text == "true";
       std::int64_t integer = 0;
       const char* end = data.text.data() + data.text.size();
       if (auto [p, e] = std::from_chars(data.text.data(), end, integer); e == std::errc() && p == end) return integer;
-      if (looks_like_number(data.text) && std::isfinite(node.as_double())) return node.as_double();
+      if (const auto number = number_of(data.text); number && std::isfinite(*number)) return *number;
       return data.text;
     }
     case ConfigNode::Kind::sequence: {
@@ -267,7 +362,7 @@ ConfigNode::ConfigNode(std::shared_ptr<const Data> data) : data_(std::move(data)
 
 ConfigNode ConfigNode::load(const fs::path& file) {
   std::vector<fs::path> chain;
-  return repath(load_file(file, chain), "");
+  return repath(load_file(file, chain, std::nullopt), "");
 }
 
 ConfigNode ConfigNode::parse(std::string_view text, const std::string& name, const fs::path& folder) {
@@ -275,7 +370,9 @@ ConfigNode ConfigNode::parse(std::string_view text, const std::string& name, con
   return parse_text(text, source);
 }
 
-ConfigNode ConfigNode::scalar(std::string value) { return Access::make({.kind = Kind::scalar, .text = std::move(value)}); }
+ConfigNode ConfigNode::scalar(std::string value) {
+  return Access::make({.kind = Kind::scalar, .text = std::move(value)});
+}
 ConfigNode ConfigNode::quoted(std::string value) {
   return Access::make({.kind = Kind::scalar, .text = std::move(value), .is_quoted = true});
 }
@@ -328,20 +425,15 @@ ConfigNode ConfigNode::operator[](std::size_t i) const {
 }
 
 double ConfigNode::as_double() const {
-  if (!is_scalar() || data_->is_quoted) wrong_type(*this, "a number");
-  const std::string& text = data_->text;
-  if (text == ".inf" || text == "+.inf") return std::numeric_limits<double>::infinity();
-  if (text == "-.inf") return -std::numeric_limits<double>::infinity();
-  const char* begin = text.data() + (text.starts_with('+') ? 1 : 0);
-  double value = 0;
-  const auto [end, error] = std::from_chars(begin, text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size() || std::isnan(value)) wrong_type(*this, "a number");
-  return value;
+  const auto value = is_scalar() && !data_->is_quoted ? number_of(data_->text) : std::nullopt;
+  if (!value) wrong_type(*this, "a number");
+  return *value;
 }
 
 std::int64_t ConfigNode::as_int() const {
   if (!is_scalar() || data_->is_quoted) wrong_type(*this, "a whole number");
-  const std::string& text = data_->text;
+  std::string_view text = data_->text;
+  if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
   std::int64_t value = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (error != std::errc() || end != text.data() + text.size()) wrong_type(*this, "a whole number");
@@ -379,7 +471,7 @@ ConfigNode ConfigNode::with(std::string_view dotted_path, const ConfigNode& valu
     std::size_t i = 0;
     const auto [end, error] = std::from_chars(key.data(), key.data() + key.size(), i);
     if (error != std::errc() || end != key.data() + key.size() || i >= copy.items.size()) {
-      fail("has items 0 to " + std::to_string(size() - 1) + ", not '" + key + "'");
+      fail("has " + std::to_string(size()) + " items, counted from 0, and none is '" + key + "'");
     }
     copy.items[i] = changed(copy.items[i]);
     return Access::make(std::move(copy));
@@ -392,7 +484,9 @@ ConfigNode ConfigNode::with(std::string_view dotted_path, const ConfigNode& valu
       return Access::make(std::move(copy));
     }
   }
-  auto blank = Data{.file = value.data_->file, .line = value.data_->line, .folder = value.data_->folder,
+  auto blank = Data{.file = value.data_->file,
+                    .line = value.data_->line,
+                    .folder = value.data_->folder,
                     .path = join(data_->path, key)};
   copy.entries.emplace_back(key, changed(Access::make(std::move(blank))));
   return Access::make(std::move(copy));
@@ -414,7 +508,8 @@ ConfigNode ConfigNode::merged(const ConfigNode& over) const {
   const auto plugin = over.find("plugin");
   if (plugin && has("plugin") && at("plugin").data_->text != plugin->data_->text) return repath(over, path());
   for (const auto& [key, value] : over.data_->entries) {
-    const auto old = std::find_if(copy.entries.begin(), copy.entries.end(), [&](const auto& e) { return e.first == key; });
+    const auto old =
+        std::find_if(copy.entries.begin(), copy.entries.end(), [&](const auto& e) { return e.first == key; });
     if (old == copy.entries.end()) {
       copy.entries.emplace_back(key, repath(value, join(path(), key)));
     } else {
@@ -452,7 +547,9 @@ std::string ConfigNode::to_yaml() const {
   if (text.empty() || text.back() != '\n') text += '\n';
   return text;
 }
-std::string ConfigNode::to_json() const { return to_json_value(*this).dump(2); }
+std::string ConfigNode::to_json() const {
+  return to_json_value(*this).dump(2, ' ', false, nlohmann::json::error_handler_t::replace);
+}
 
 std::string nearest(std::string_view word, const std::vector<std::string>& known) {
   std::string best;
@@ -478,26 +575,49 @@ std::string nearest(std::string_view word, const std::vector<std::string>& known
   return best;
 }
 
+namespace {
+
+// `path.plugin` = name: drops the old plugin's params, exactly as an extending file would, and turns a bare plugin name
+// into a slot.
+ConfigNode with_plugin(const ConfigNode& slot, const ConfigNode& name) {
+  const auto plugin = ConfigNode::mapping({{"plugin", name}});
+  return slot.is_mapping() ? slot.merged(plugin) : plugin;
+}
+
+std::optional<ConfigNode> find_path(ConfigNode node, std::string_view path) {
+  while (!path.empty()) {
+    const auto dot = path.find('.');
+    const std::string_view key = path.substr(0, dot);
+    path = dot == std::string_view::npos ? std::string_view() : path.substr(dot + 1);
+    std::optional<ConfigNode> next;
+    if (node.is_sequence()) {
+      std::size_t i = 0;
+      const auto [end, error] = std::from_chars(key.data(), key.data() + key.size(), i);
+      if (error == std::errc() && end == key.data() + key.size() && i < node.size()) next = node[i];
+    } else if (node.is_mapping()) {
+      next = node.find(key);
+    }
+    if (!next) return std::nullopt;
+    node = *next;
+  }
+  return node;
+}
+
+}  // namespace
+
 ConfigNode apply_override(const ConfigNode& config, const std::string& assignment) {
   const auto equals = assignment.find('=');
   if (equals == std::string::npos || equals == 0) {
     throw ConfigError("--set " + assignment + ": must be key.path=value");
   }
   const std::string path = assignment.substr(0, equals);
-  const ConfigNode value = ConfigNode::parse(assignment.substr(equals + 1), "--set " + path);
-  // `--set predictor.plugin=x` must drop the old plugin's params, exactly as an extending file would.
+  Source source{"--set " + path, ".", false};
+  const ConfigNode value = parse_text(assignment.substr(equals + 1), source);
   const auto last = path.rfind('.');
   if (last != std::string::npos && path.substr(last + 1) == "plugin") {
-    std::optional<ConfigNode> parent = config;
-    for (std::size_t begin = 0; parent && parent->is_mapping() && begin < last;) {
-      const auto end = std::min(path.find('.', begin), last);
-      parent = parent->find(path.substr(begin, end - begin));
-      begin = end + 1;
-    }
-    if (parent && parent->is_mapping()) {
-      const auto slot = ConfigNode::mapping({{"plugin", value}});
-      return config.with(path.substr(0, last), parent->merged(slot));
-    }
+    const std::string slot_path = path.substr(0, last);
+    const auto slot = find_path(config, slot_path);
+    if (slot && (slot->is_mapping() || slot->is_scalar())) return config.with(slot_path, with_plugin(*slot, value));
   }
   return config.with(path, value);
 }

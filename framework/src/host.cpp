@@ -30,13 +30,16 @@ class ThreadPool {
   }
 
   void run(std::int64_t count, const std::function<void(std::int64_t)>& body) {
+    Loop loop{count, &body};
     // Nested or concurrent loops run on their caller: no deadlock, and the outer loop keeps the threads busy anyway.
-    std::unique_lock busy(busy_, std::try_to_lock);
-    if (workers_.empty() || count <= 1 || inside_ || !busy.owns_lock()) {
-      for (std::int64_t i = 0; i < count; ++i) body(i);
+    // (inside_ comes first: a nested caller may hold busy_ itself.)
+    std::unique_lock<std::mutex> busy;
+    if (!inside_ && !workers_.empty() && count > 1) busy = std::unique_lock(busy_, std::try_to_lock);
+    if (!busy.owns_lock()) {
+      share(loop);
+      if (loop.error) std::rethrow_exception(loop.error);
       return;
     }
-    Loop loop{count, &body};
     {
       const std::lock_guard lock(mutex_);
       loop_ = &loop;
@@ -62,6 +65,7 @@ class ThreadPool {
 
   // Every iteration runs even after one failed, so that which error is reported does not depend on timing.
   static void share(Loop& loop) {
+    const bool was_inside = inside_;
     inside_ = true;
     for (std::int64_t i = loop.next++; i < loop.count; i = loop.next++) {
       try {
@@ -74,7 +78,7 @@ class ThreadPool {
         }
       }
     }
-    inside_ = false;
+    inside_ = was_inside;
   }
 
   void work() {
@@ -115,11 +119,14 @@ class ProgramHost final : public Host {
   ProgramHost(std::shared_ptr<const PluginRegistry> registry, const HostOptions& options)
       : registry_(std::move(registry)),
         options_(options),
-        threads_(options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()))),
+        threads_(options.threads > 0 ? options.threads
+                                     : std::max(1, static_cast<int>(std::thread::hardware_concurrency()))),
         pool_(threads_) {}
 
   int threads() const override { return threads_; }
-  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override { pool_.run(count, body); }
+  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
+    pool_.run(count, body);
+  }
   bool cancelled() const override { return options_.cancel != nullptr && *options_.cancel; }
   void log(LogLevel level, const std::string& message) override {
     if (!options_.log) return;

@@ -18,6 +18,9 @@ std::string range_text(const Range& range) {
   return "a number";
 }
 
+// A scalar's text, for messages about a value of the wrong kind.
+std::string got(const ConfigNode& node) { return node.is_scalar() ? "= " + node.as_string() + ", " : ""; }
+
 std::string choice_text(const Choice& choice) {
   std::string text = "one of";
   for (const auto& value : choice.values) text += (text.size() > 6 ? ", " : " ") + value;
@@ -59,9 +62,10 @@ class Reader final : public ParamVisitor {
   }
   void operator()(const char* name, std::vector<double>& value, const Range& range, const char*) override {
     if (const auto node = take(name)) {
-      if (!node->is_sequence()) node->fail("must be a list of numbers, each " + range_text(range));
+      if (!node->is_sequence()) node->fail(got(*node) + "must be a list of numbers, each " + range_text(range));
       value.clear();
-      for (std::size_t i = 0; i < node->size(); ++i) value.push_back(checked((*node)[i], (*node)[i].as_double(), range));
+      for (std::size_t i = 0; i < node->size(); ++i)
+        value.push_back(checked((*node)[i], (*node)[i].as_double(), range));
     }
     std::vector<ConfigNode> items;
     for (const double v : value) items.push_back(ConfigNode::number(v));
@@ -69,7 +73,7 @@ class Reader final : public ParamVisitor {
   }
   void operator()(const char* name, std::vector<std::string>& value, const char*) override {
     if (const auto node = take(name)) {
-      if (!node->is_sequence()) node->fail("must be a list of texts");
+      if (!node->is_sequence()) node->fail(got(*node) + "must be a list of texts");
       value.clear();
       for (std::size_t i = 0; i < node->size(); ++i) value.push_back((*node)[i].as_string());
     }
@@ -77,7 +81,9 @@ class Reader final : public ParamVisitor {
     for (const auto& v : value) items.push_back(ConfigNode::quoted(v));
     keep(name, ConfigNode::sequence(std::move(items)));
   }
-  void operator()(const char* name, ConfigNode& value, const PluginSlot&, const char*) override { take_node(name, value); }
+  void operator()(const char* name, ConfigNode& value, const PluginSlot&, const char*) override {
+    take_node(name, value);
+  }
   void operator()(const char* name, ConfigNode& value, const char*) override { take_node(name, value); }
   void operator()(const char* name, std::filesystem::path& value, const char*) override {
     if (const auto node = take(name)) {
@@ -87,7 +93,7 @@ class Reader final : public ParamVisitor {
   }
   void begin_group(const char* name, const char*) override {
     auto node = take(name).value_or(ConfigNode());
-    if (!node.is_null() && !node.is_mapping()) node.fail("must be a mapping");
+    if (!node.is_null() && !node.is_mapping()) node.fail(got(node) + "must be a mapping");
     levels_.push_back({std::move(node), name, {}, {}});
   }
   void end_group() override {
@@ -124,7 +130,8 @@ class Reader final : public ParamVisitor {
   void keep(const std::string& name, ConfigNode value) { levels_.back().resolved.emplace_back(name, std::move(value)); }
   static double checked(const ConfigNode& node, double value, const Range& range) {
     if (!(value >= range.lower && value <= range.upper)) {
-      node.fail("= " + node.as_string() + ", must be " + range_text(range) + (range.unit.empty() ? "" : " " + range.unit));
+      node.fail("= " + node.as_string() + ", must be " + range_text(range) +
+                (range.unit.empty() ? "" : " " + range.unit));
     }
     return value;
   }
@@ -147,7 +154,9 @@ class Describer final : public ParamVisitor {
   void operator()(const char* name, std::string& value, const Choice& choice, const char* text) override {
     add(name, "text", "", choice_text(choice), value, text);
   }
-  void operator()(const char* name, std::string& value, const char* text) override { add(name, "text", "", "", value, text); }
+  void operator()(const char* name, std::string& value, const char* text) override {
+    add(name, "text", "", "", value, text);
+  }
   void operator()(const char* name, std::vector<double>& value, const Range& range, const char* text) override {
     std::string shown;
     for (const double v : value) shown += (shown.empty() ? "" : ", ") + number_text(v);
@@ -177,7 +186,8 @@ class Describer final : public ParamVisitor {
   std::vector<ParamInfo> take() { return std::move(infos_); }
 
  private:
-  void add(const char* name, std::string type, std::string unit, std::string range, std::string value, const char* text) {
+  void add(const char* name, std::string type, std::string unit, std::string range, std::string value,
+           const char* text) {
     infos_.push_back({prefix_ + name, std::move(type), std::move(unit), std::move(range), std::move(value), text});
   }
   std::string prefix_;
@@ -187,7 +197,7 @@ class Describer final : public ParamVisitor {
 }  // namespace
 
 ConfigNode read_params_erased(const ConfigNode& node, void* params, ParamVisit visit) {
-  if (!node.is_null() && !node.is_mapping()) node.fail("must be a mapping of parameters");
+  if (!node.is_null() && !node.is_mapping()) node.fail(got(node) + "must be a mapping of parameters");
   Reader reader(node);
   visit(params, reader);
   return reader.finish();
@@ -203,8 +213,8 @@ std::string params_markdown(const std::vector<ParamInfo>& params) {
   std::ostringstream out;
   out << "| parameter | type | unit | range | default | meaning |\n|---|---|---|---|---|---|\n";
   for (const auto& p : params) {
-    out << "| `" << p.name << "` | " << p.type << " | " << p.unit << " | " << p.range << " | " << p.default_value << " | "
-        << p.text << " |\n";
+    out << "| `" << p.name << "` | " << p.type << " | " << p.unit << " | " << p.range << " | " << p.default_value
+        << " | " << p.text << " |\n";
   }
   return out.str();
 }

@@ -1,5 +1,8 @@
 #include "weft/registry.hpp"
 
+#include <dlfcn.h>
+#include <link.h>
+
 #include <algorithm>
 #include <boost/dll/runtime_symbol_info.hpp>
 #include <boost/dll/shared_library.hpp>
@@ -28,6 +31,11 @@ using VisitFunction = void(ParamVisitor*);
 
 constexpr const char* kKinds[] = {"simulator", "predictor", "trajectory", "optimiser"};
 
+/// "./x", "/x" and "x.so" are files, anything else is a name.
+bool is_file_name(const std::string& name) {
+  return name.ends_with(".so") || name.starts_with("/") || name.starts_with("./") || name.starts_with("../");
+}
+
 std::string text_of(const char* chars, std::size_t size) { return std::string(chars, strnlen(chars, size)); }
 
 int interface_version(const std::string& kind) {
@@ -38,6 +46,14 @@ int interface_version(const std::string& kind) {
   return -1;
 }
 
+/// Size of an exported object in its library's symbol table; 0 when unknown.
+std::size_t exported_size(const void* address) {
+  Dl_info info;
+  void* symbol = nullptr;
+  if (dladdr1(address, &info, &symbol, RTLD_DL_SYMENT) == 0 || symbol == nullptr) return 0;
+  return static_cast<const ElfW(Sym)*>(symbol)->st_size;
+}
+
 /// A library that passed every check that needs no C++ call.
 struct Library {
   PluginEntry entry;
@@ -46,7 +62,9 @@ struct Library {
 
 /// @throws PluginError with the reason, both sides and the remedy.
 std::shared_ptr<const Library> open_library(const fs::path& file) {
-  const auto refuse = [&](const std::string& reason) -> void { throw PluginError(file.string() + ": refused: " + reason); };
+  const auto refuse = [&](const std::string& reason) -> void {
+    throw PluginError(file.string() + ": refused: " + reason);
+  };
   auto library = std::make_shared<Library>();
   library->entry.file = file;
   std::string detail;
@@ -56,18 +74,26 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
     detail = failure.what();
   }
   if (!library->handle.is_loaded()) refuse("cannot be loaded as a shared library: " + detail);
-  for (const char* symbol : {"weft_plugin_info", "weft_plugin_create", "weft_plugin_destroy", "weft_plugin_visit_params"}) {
+  for (const char* symbol :
+       {"weft_plugin_info", "weft_plugin_create", "weft_plugin_destroy", "weft_plugin_visit_params"}) {
     if (!library->handle.has(symbol)) {
-      refuse(std::string("does not export ") + symbol + "; export one plugin with WEFT_PLUGIN(...) from weft/plugin.hpp");
+      refuse(std::string("does not export ") + symbol +
+             "; export one plugin with WEFT_PLUGIN(...) from weft/plugin.hpp");
     }
   }
   const auto& info = library->handle.get<const WeftPluginInfo>("weft_plugin_info");
+  if (exported_size(&info) != 0 && exported_size(&info) != sizeof(WeftPluginInfo)) {
+    refuse("weft_plugin_info has " + std::to_string(exported_size(&info)) + " bytes, this weft's has " +
+           std::to_string(sizeof(WeftPluginInfo)) + "; rebuild it with this weft's headers");
+  }
   if (text_of(info.magic, sizeof(info.magic)) != "weftplu") {
     refuse("weft_plugin_info does not start with the mark of weft; rebuild it with this weft's headers");
   }
   const std::string abi = text_of(info.abi_tag, sizeof(info.abi_tag));
   if (abi != WEFT_ABI_TAG) {
-    refuse("built as '" + abi + "', this weft is '" WEFT_ABI_TAG "'; build it with weft_add_plugin() and the same compiler, Eigen and alignment");
+    refuse("built as '" + abi +
+           "', this weft is '" WEFT_ABI_TAG
+           "'; build it with weft_add_plugin() and the same compiler, Eigen and alignment");
   }
   library->entry.kind = text_of(info.kind, sizeof(info.kind));
   library->entry.name = text_of(info.name, sizeof(info.name));
@@ -78,7 +104,8 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   }
   if (info.interface_version != ours) {
     refuse("has interface version " + std::to_string(info.interface_version) + " of " + library->entry.kind +
-           ", this weft has " + std::to_string(ours) + "; rebuild it with this weft's headers (MIGRATION.md says what changed)");
+           ", this weft has " + std::to_string(ours) +
+           "; rebuild it with this weft's headers (MIGRATION.md says what changed)");
   }
   if (library->entry.name.empty()) refuse("has no name");
   return library;
@@ -120,31 +147,38 @@ struct PluginRegistry::Impl {
 
   std::shared_ptr<const Library> find(const std::string& wanted_kind, const std::string& name) const {
     std::string refusal;
-    // The name that weft_add_plugin() gives comes first: then nothing else needs loading.
+    const auto fits = [&](const fs::path& file, bool named_so) -> std::shared_ptr<const Library> {
+      try {
+        const auto found = library(file);
+        if (found->entry.name == name && (wanted_kind.empty() || found->entry.kind == wanted_kind)) return found;
+      } catch (const PluginError& error) {
+        if (named_so) refusal = error.what();
+      }
+      return nullptr;
+    };
+    // weft_add_plugin() names a library after its plugin. A library so named after another plugin is looked into only
+    // when nothing else fits, because loading one can be slow.
+    std::vector<fs::path> named_after_others;
     for (const auto& folder : search_path) {
       for (const char* kind : kKinds) {
         if (!wanted_kind.empty() && wanted_kind != kind) continue;
         const fs::path file = folder / ("libweft_" + std::string(kind) + "_" + name + ".so");
         std::error_code ignored;
         if (!fs::exists(file, ignored)) continue;
-        try {
-          const auto found = library(file);
-          if (found->entry.kind == kind && found->entry.name == name) return found;
-        } catch (const PluginError& error) {
-          refusal = error.what();
+        if (const auto found = fits(file, true)) return found;
+      }
+      for (const auto& file : libraries_in(folder)) {
+        if (file.filename().string().starts_with("libweft_")) {
+          named_after_others.push_back(file);
+        } else if (const auto found = fits(file, false)) {
+          return found;
         }
       }
+    }
+    for (const auto& file : named_after_others) {
+      if (const auto found = fits(file, false)) return found;
     }
     if (!refusal.empty()) throw PluginError(refusal);
-    for (const auto& folder : search_path) {
-      for (const auto& file : libraries_in(folder)) {
-        try {
-          const auto found = library(file);
-          if (found->entry.name == name && (wanted_kind.empty() || found->entry.kind == wanted_kind)) return found;
-        } catch (const PluginError&) {
-        }
-      }
-    }
     return nullptr;
   }
 };
@@ -192,8 +226,7 @@ std::vector<PluginEntry> PluginRegistry::list() const {
 }
 
 PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::string& kind) const {
-  std::error_code ignored;
-  if (name_or_file.ends_with(".so") || fs::is_regular_file(name_or_file, ignored)) {
+  if (is_file_name(name_or_file)) {
     const auto& entry = impl_->library(name_or_file)->entry;
     if (!kind.empty() && entry.kind != kind) {
       throw PluginError(name_or_file + ": is a " + entry.kind + " plugin, wanted a " + kind);
@@ -220,11 +253,40 @@ PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::str
 
 namespace {
 
+/// Calls into a library. What it throws is thrown again as an exception of the framework's own: one whose type lives in
+/// the library must not outlive the library.
+template <class Call>
+void guarded(const Library& library, const std::string& doing, Call&& call) {
+  const std::string what = library.entry.file.string() + ": " + doing + " " + library.entry.name + " failed: ";
+  try {
+    call();
+  } catch (const ConfigError& error) {
+    throw ConfigError(error.what());
+  } catch (const PluginError& error) {
+    throw PluginError(error.what());
+  } catch (const ShapeError& error) {
+    throw ShapeError(error.what());
+  } catch (const Unsupported& error) {
+    throw Unsupported(error.what());
+  } catch (const Diverged& error) {
+    throw Diverged(error.what());
+  } catch (const Error& error) {
+    throw Error(error.what());
+  } catch (const std::exception& error) {
+    throw PluginError(what + error.what());
+  } catch (...) {
+    throw PluginError(what + "it threw something that is no std::exception");
+  }
+}
+
 /// Runs a library's own declaration list through a visitor of ours.
 void visit_library(const Library& library, ParamVisitor& visitor) {
-  library.handle.get<VisitFunction>("weft_plugin_visit_params")(&visitor);
+  guarded(library, "reading the parameters of",
+          [&] { library.handle.get<VisitFunction>("weft_plugin_visit_params")(&visitor); });
 }
-void visit_erased(void* library, ParamVisitor& visitor) { visit_library(*static_cast<const Library*>(library), visitor); }
+void visit_erased(void* library, ParamVisitor& visitor) {
+  visit_library(*static_cast<const Library*>(library), visitor);
+}
 
 }  // namespace
 
@@ -234,20 +296,26 @@ std::vector<ParamInfo> PluginRegistry::params(const PluginEntry& entry) const {
 }
 
 ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& slot) const {
-  std::string name;
-  ConfigNode params;
-  if (slot.is_scalar()) {
-    name = slot.as_string();
-  } else {
+  ConfigNode given_name = slot;
+  ConfigNode params, version;
+  if (!slot.is_scalar()) {
     slot.refuse_unknown_keys({"plugin", "params", "version"});
-    name = slot.at("plugin").as_string();
-    if (const auto given = slot.find("params")) params = *given;
+    given_name = slot.at("plugin");
+    params = slot.find("params").value_or(ConfigNode());
+    version = slot.find("version").value_or(ConfigNode());
   }
+  std::string name = given_name.as_string();
+  if (is_file_name(name)) name = fs::absolute(given_name.as_path()).lexically_normal().string();
+  const std::string where = given_name.where() + ": " + (given_name.path().empty() ? kind : given_name.path());
   PluginEntry entry;
   try {
     entry = find(name, kind);
   } catch (const PluginError& error) {
-    throw PluginError(slot.where() + ": " + (slot.path().empty() ? kind : slot.path()) + ": " + error.what());
+    throw PluginError(where + ": " + error.what());
+  }
+  if (!version.is_null() && version.as_string() != entry.version) {
+    throw PluginError(version.where() + ": " + version.path() + " = " + version.as_string() + ", but " +
+                      entry.file.string() + " is " + name + " " + entry.version);
   }
   const auto library = impl_->library(entry.file);
   ConfigNode resolved = read_params_erased(params, const_cast<Library*>(library.get()), visit_erased);
@@ -276,18 +344,11 @@ std::shared_ptr<void> PluginRegistry::create(const std::string& kind, const Conf
   const auto library = impl_->library(find(resolved.at("plugin").as_string(), kind).file);
   const ConfigNode params = resolved.at("params");
   void* object = nullptr;
-  try {
-    object = library->handle.get<CreateFunction>("weft_plugin_create")(&host, &params);
-  } catch (const Error&) {
-    throw;
-  } catch (const std::exception& error) {
-    throw PluginError(library->entry.file.string() + ": creating " + library->entry.name + " failed: " + error.what());
-  } catch (...) {
-    throw PluginError(library->entry.file.string() + ": creating " + library->entry.name +
-                      " failed: it threw something that is no std::exception");
-  }
+  guarded(*library, "creating",
+          [&] { object = library->handle.get<CreateFunction>("weft_plugin_create")(&host, &params); });
   if (object == nullptr) {
-    throw PluginError(library->entry.file.string() + ": creating " + library->entry.name + " failed: it returned nothing");
+    throw PluginError(library->entry.file.string() + ": creating " + library->entry.name +
+                      " failed: it returned nothing");
   }
   return {object, [library](void* dying) { library->handle.get<DestroyFunction>("weft_plugin_destroy")(dying); }};
 }

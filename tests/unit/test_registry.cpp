@@ -1,0 +1,186 @@
+#include <dlfcn.h>
+
+#include <cstdlib>
+
+#include "unit/test_support.hpp"
+#include "weft/registry.hpp"
+#include "weft/trajectory.hpp"
+
+namespace weft {
+namespace {
+
+namespace fs = std::filesystem;
+using test::Folder;
+using test::message_of;
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+const fs::path kToys = WEFT_TOY_PLUGINS;
+ConfigNode parse(const std::string& text, const fs::path& folder = ".") {
+  return ConfigNode::parse(text, "fold.yaml", folder);
+}
+
+std::shared_ptr<PluginRegistry> registry(const std::vector<std::string>& folders) {
+  std::vector<fs::path> path;
+  for (const auto& folder : folders) path.push_back(kToys / folder);
+  return std::make_shared<PluginRegistry>(path);
+}
+
+struct PathVariable {
+  explicit PathVariable(const std::string& value) { setenv("WEFT_PLUGIN_PATH", value.c_str(), 1); }
+  ~PathVariable() { unsetenv("WEFT_PLUGIN_PATH"); }
+};
+
+TEST(Registry, TheFirstFolderWins) {
+  EXPECT_EQ(registry({"first", "second"})->find("toy").version, "1.0.0");
+  EXPECT_EQ(registry({"second", "first"})->find("toy").version, "2.0.0");
+  // Whatever the file is called.
+  EXPECT_EQ(registry({"odd_name", "first"})->find("toy").version, "3.0.0");
+  EXPECT_EQ(registry({"first", "odd_name"})->find("toy").version, "1.0.0");
+}
+
+TEST(Registry, SearchesTheConfigThenTheVariableThenItsOwnFolder) {
+  const PathVariable variable((kToys / "second").string() + "::" + (kToys / "odd_name").string());
+  const auto folders = PluginRegistry::default_search_path();
+  ASSERT_EQ(folders.size(), 3u);
+  EXPECT_EQ(folders[0], kToys / "second");
+  EXPECT_EQ(folders[1], kToys / "odd_name");
+  EXPECT_EQ(folders[2].filename(), "plugins");
+  EXPECT_EQ(registry({})->find("toy").version, "2.0.0");
+  EXPECT_EQ(registry({"first"})->find("toy").version, "1.0.0");
+}
+
+TEST(Registry, FindsByNameKindAndFile) {
+  const auto plugins = registry({"first", "second"});
+  EXPECT_EQ(plugins->find("trajectory/toy").name, "toy");
+  EXPECT_EQ(plugins->find("toy", "trajectory").kind, "trajectory");
+  const auto file = (kToys / "odd_name" / "my_toy.so").string();
+  EXPECT_EQ(plugins->find(file).version, "3.0.0");
+  EXPECT_THAT(message_of<PluginError>([&] { plugins->find(file, "simulator"); }),
+              HasSubstr("is a trajectory plugin, wanted a simulator"));
+}
+
+TEST(Registry, AnUnknownNameNamesTheNearestAndWhereItSearched) {
+  const auto plugins = registry({"first", "second"});
+  EXPECT_THAT(
+      message_of<PluginError>([&] { plugins->find("wraper"); }),
+      AllOf(StartsWith("no plugin is called 'wraper'; nearest: wrapper"), HasSubstr((kToys / "first").string())));
+  EXPECT_THAT(message_of<PluginError>([&] { plugins->find("toy", "optimiser"); }),
+              StartsWith("no optimiser plugin is called 'toy'"));
+  EXPECT_THAT(message_of<PluginError>([&] { plugins->find("/nowhere/x.so"); }), HasSubstr("/nowhere/x.so: refused"));
+}
+
+TEST(Registry, AFileInTheWorkingFolderIsNoPluginName) {
+  const Folder folder;
+  folder.write("toy", "no library");
+  const fs::path before = fs::current_path();
+  fs::current_path(folder.path());
+  EXPECT_EQ(registry({"first"})->find("toy").version, "1.0.0");
+  fs::current_path(before);
+}
+
+TEST(Registry, ListIsSortedAndShowsEachNameOnce) {
+  std::vector<std::string> toys;
+  for (const auto& entry : registry({"second", "first"})->list()) {
+    if (entry.file.string().starts_with(kToys.string())) toys.push_back(entry.name + " " + entry.version);
+  }
+  EXPECT_THAT(toys, ElementsAre("toy 2.0.0", "wrapper 1.0.0"));
+}
+
+TEST(Registry, AFolderThatIsNotThereIsEmpty) { EXPECT_NO_THROW(PluginRegistry({"/nowhere"}).list()); }
+
+TEST(Registry, ResolveFillsInDefaultsAndRefusesWhatIsWrong) {
+  const auto plugins = registry({"first", "second"});
+  EXPECT_EQ(plugins->resolve("trajectory", parse("toy")).to_yaml(), "plugin: toy\nparams:\n  speed: 1\n");
+  EXPECT_EQ(
+      plugins->resolve("trajectory", parse("{plugin: toy, params: {speed: 2}}")).at("params").at("speed").as_double(),
+      2);
+  const auto refusal = [&](const std::string& text) {
+    return message_of<ConfigError>([&] { plugins->resolve("trajectory", parse(text)); });
+  };
+  EXPECT_EQ(refusal("plugin: toy\nparams:\n  speed: 11\n"), "fold.yaml:3: params.speed = 11, must be in [0, 10] m/s");
+  EXPECT_EQ(refusal("plugin: toy\nparam: {}\n"), "fold.yaml:2: param is not a known key; nearest: params");
+  EXPECT_THAT(refusal("params: {}\n"), HasSubstr("plugin is missing"));
+  EXPECT_THAT(message_of<PluginError>([&] { plugins->resolve("trajectory", parse("t: {plugin: tyo}").at("t")); }),
+              StartsWith("fold.yaml:1: t.plugin: no trajectory plugin is called 'tyo'; nearest: toy"));
+}
+
+TEST(Registry, ResolveReachesNestedPlugins) {
+  const auto plugins = registry({"first", "second"});
+  const ConfigNode resolved =
+      plugins->resolve("trajectory", parse("{plugin: wrapper, params: {inner: {plugin: toy, params: {speed: 3}}}}"));
+  EXPECT_EQ(resolved.at("params").at("inner").at("params").at("speed").as_double(), 3);
+  EXPECT_EQ(
+      plugins->resolve("trajectory", parse("wrapper")).at("params").at("inner").at("params").at("speed").as_double(),
+      1);
+  EXPECT_THAT(message_of<ConfigError>([&] {
+                plugins->resolve("trajectory",
+                                 parse("plugin: wrapper\nparams:\n  inner:\n    plugin: toy\n    params: {sped: 3}\n"));
+              }),
+              AllOf(StartsWith("fold.yaml:5:"), HasSubstr("nearest: speed")));
+}
+
+TEST(Registry, AVersionInTheConfigIsHeldTo) {
+  const auto plugins = registry({"first"});
+  EXPECT_NO_THROW(plugins->resolve("trajectory", parse("{plugin: toy, version: 1.0.0}")));
+  EXPECT_THAT(message_of<PluginError>([&] { plugins->resolve("trajectory", parse("{plugin: toy, version: 1.1.0}")); }),
+              AllOf(StartsWith("fold.yaml:1: version = 1.1.0, but "), HasSubstr("is toy 1.0.0")));
+}
+
+TEST(Registry, APluginFileIsRelativeToTheConfigFile) {
+  const auto plugins = registry({});
+  const ConfigNode resolved = plugins->resolve("trajectory", parse("plugin: ./my_toy.so", kToys / "odd_name"));
+  EXPECT_EQ(resolved.at("plugin").as_string(), (kToys / "odd_name" / "my_toy.so").string());
+}
+
+TEST(Registry, CreatesWithParametersAndPassesRefusalsOn) {
+  const auto plugins = registry({"first", "second"});
+  const auto host = make_host(plugins, {.threads = 1});
+  EXPECT_EQ(host->create<Trajectory>(parse("{plugin: toy, params: {speed: 4}}"))->progress(Vector::Zero(1)), 4.0);
+  EXPECT_EQ(host->create<Trajectory>(parse("{plugin: wrapper, params: {inner: {plugin: toy, params: {speed: 4}}}}"))
+                ->progress(Vector::Zero(1)),
+            104.0);
+  EXPECT_EQ(message_of<ConfigError>([&] { host->create<Trajectory>(parse("{plugin: toy, params: {speed: 9}}")); }),
+            "toy: speed = 9, which toy refuses itself");
+}
+
+TEST(Registry, UsedNamesWhatWasResolved) {
+  const auto plugins = registry({"second"});
+  EXPECT_TRUE(plugins->used().empty());
+  plugins->resolve("trajectory", parse("wrapper"));
+  std::vector<std::string> used;
+  for (const auto& entry : plugins->used()) used.push_back(entry.kind + "/" + entry.name + " " + entry.version);
+  EXPECT_THAT(used, ElementsAre("trajectory/toy 2.0.0", "trajectory/wrapper 1.0.0"));
+}
+
+TEST(Registry, AnObjectOutlivesItsRegistryAndTakesTheLibraryWithIt) {
+  const std::string file = (kToys / "odd_name" / "my_toy.so").string();
+  const auto is_loaded = [&] {
+    void* handle = dlopen(file.c_str(), RTLD_NOW | RTLD_NOLOAD);
+    if (handle != nullptr) dlclose(handle);
+    return handle != nullptr;
+  };
+  ASSERT_FALSE(is_loaded());
+  auto plugins = registry({"odd_name"});
+  auto host = make_host(plugins, {.threads = 1});
+  auto object = host->create<Trajectory>(parse("toy"));
+  plugins.reset();
+  host.reset();
+  EXPECT_TRUE(is_loaded());
+  EXPECT_EQ(object->progress(Vector::Zero(1)), 1.0);
+  object.reset();
+  EXPECT_FALSE(is_loaded());
+}
+
+TEST(Registry, ParamsDescribeThePlugin) {
+  const auto plugins = registry({"first"});
+  const auto infos = plugins->params(plugins->find("toy"));
+  ASSERT_EQ(infos.size(), 1u);
+  EXPECT_EQ(infos[0].name, "speed");
+  EXPECT_EQ(infos[0].unit, "m/s");
+}
+
+}  // namespace
+}  // namespace weft
