@@ -12,7 +12,7 @@ namespace {
 // Substeps in a block: between two choices of step size and of contact pairs.
 constexpr Index kBlock = 8;
 // Allowance for what a vertex may gain in speed within a block, m/s^2; a faster one ends its block early.
-constexpr float kGain = 40.0f;
+constexpr float kGain = 3.0f;
 // A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
 constexpr double kRise = 0.05;
 
@@ -128,7 +128,6 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   bound_.assign(n, 0.0f);
   start_.reserve(64);
   target_.reserve(64);
-  danger_.reserve(4 * n);
   positions_.resize(n, 3);
   velocities_.resize(n, 3);
   if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
@@ -349,10 +348,9 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
   const auto n = static_cast<std::int32_t>(state_.x.size());
   std::fill(forces_.begin(), forces_.end(), Float4{});
   state_.stiffening = elements_->add_forces(state_.x_fixed.data(), state_.v_float.data(), forces_.data());
-  danger_.clear();
   if (params_.self_contact)
     contact_->add_forces(state_.contact, state_.x_fixed.data(), state_.v_float.data(), elements_->unit(),
-                         static_cast<float>(dt), forces_.data(), danger_);
+                         static_cast<float>(dt), forces_.data());
 
   const __m256d gravity = _mm256_setr_pd(dt * scene_.gravity.x(), dt * scene_.gravity.y(), dt * scene_.gravity.z(), 0.0);
   const __m256d keep = _mm256_set1_pd(1.0 / (1.0 + dt * drag));
@@ -363,8 +361,9 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     const __m256d gain = _mm256_fmadd_pd(f, _mm256_set1_pd(dt * static_cast<double>(w)), gravity);
     store(state_.v[i], _mm256_mul_pd(_mm256_add_pd(load(state_.v[i]), gain), keep));
   }
-  if (!danger_.empty())
-    contact_->stop(state_.contact, state_.x_fixed.data(), elements_->unit(), dt, state_.inverse_mass.data(), danger_, state_.v.data());
+  if (!state_.contact.fast.empty())
+    contact_->stop(state_.contact, state_.x.data(), state_.x_fixed.data(), elements_->unit(), dt, floor_,
+                   state_.inverse_mass.data(), state_.v.data());
 
   // Ground, then move. The normal impulse is what keeps the vertex from going below; the tangential one is at most mu
   // times it, against the motion, and takes all of it where it can: sticking is exactly at rest.

@@ -85,7 +85,6 @@ class Cloth final : public Simulator {
   std::vector<Float4> forces_;
   std::vector<float> reach_, speed_, bound_;
   std::vector<Double4> start_, target_;
-  std::vector<std::int32_t> danger_;
 };
 
 }  // namespace weft::cloth

@@ -7,10 +7,13 @@
 namespace weft::cloth {
 namespace {
 
-// Part of the explicit limit dt^2 lambda = 4 that contact takes: 0.2 for the spring and 2 * 0.5 for the dashpot; the
-// elements take 4 * 0.8^2 = 2.56 at the default step_safety.
-constexpr float kSpring = 0.2f;
-constexpr float kDashpot = 0.5f;
+// Part of the explicit limit dt^2 lambda = 4 that contact takes: 0.8 for the spring and 2 * 0.4 for the dashpot; the
+// elements take 4 * 0.75^2 = 2.25 at the default step_safety.
+constexpr float kSpring = 0.8f;
+constexpr float kDashpot = 0.4f;
+// A vertex counts as if it carried at least this sum of |weight|, so that pairs which come and go do not change the
+// stiffness of the others: two layers give 2 to 4.
+constexpr float kLeastLoad = 5.0f;
 // A pair pressed deeper than this part of its distance yields (keeps the gap it has) ...
 constexpr float kYield = 0.25f;
 // ... and recovers at this speed, m/s, so that separating layers gain no energy worth naming.
@@ -180,6 +183,8 @@ void SelfContact::clear(State& state) const {
   state.vertex_triangle.reserve(16 * n);
   state.edge_edge.reserve(32 * n);
   state.active.reserve(16 * n);
+  state.fast.clear();
+  state.fast.reserve(16 * n);
   state.path.assign(n, 0.0f);
   state.slack.assign(n, 0.0f);
   state.touching = 0;
@@ -410,6 +415,7 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Fixed4* 
 void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const float* bound, const float* inverse_mass,
                            float dt, float block_seconds) const {
   state.active.clear();
+  state.fast.clear();
   const float unit_f = static_cast<float>(unit);
   const float* path = state.path.data();
   const auto choose = [&](std::vector<Candidate>& list, std::int32_t offset, auto edges) {
@@ -446,6 +452,7 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
         for (int k = 0; k < 3; ++k) a.normal[k] = c.normal[k];
         a.distance = c.present;
         a.least = 0.5f * c.distance;
+        if (gap - a.least < bounds - paths) state.fast.push_back(static_cast<std::int32_t>(state.active.size()));
         a.candidate = offset + static_cast<std::int32_t>(&c - list.data());
         state.active.push_back(a);
       }
@@ -471,15 +478,14 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
   const float per_dt2 = 1.0f / (dt * dt);
   for (Active& a : state.active) {
     float worst = 0.0f;
-    for (int k = 0; k < 4; ++k) worst = std::max(worst, 2.0f * load[a.v[k]] * inverse_mass[a.v[k]]);
+    for (int k = 0; k < 4; ++k) worst = std::max(worst, 2.0f * std::max(load[a.v[k]], kLeastLoad) * inverse_mass[a.v[k]]);
     const float mass = worst > 0.0f ? 1.0f / worst : 0.0f;
     a.stiffness = kSpring * mass * per_dt2;
     a.damping = kDashpot * mass / dt;
   }
 }
 
-void SelfContact::add_forces(State& state, const Fixed4* fixed, const Float4* v, double unit, float dt, Float4* forces,
-                             std::vector<std::int32_t>& danger) const {
+void SelfContact::add_forces(State& state, const Fixed4* fixed, const Float4* v, double unit, float dt, Float4* forces) const {
   const __m128 scale = _mm_set1_ps(static_cast<float>(unit));
   std::int64_t touching = 0;
   for (std::size_t index = 0; index < state.active.size(); ++index) {
@@ -495,8 +501,6 @@ void SelfContact::add_forces(State& state, const Fixed4* fixed, const Float4* v,
     const __m128 n = _mm_setr_ps(a.normal[0], a.normal[1], a.normal[2], 0.0f);
     const float gap = _mm_cvtss_f32(_mm_dp_ps(_mm_mul_ps(r, scale), n, 0x71));
     const float approach = _mm_cvtss_f32(_mm_dp_ps(u, n, 0x71));
-    // Twice the present approach covers what the forces of this substep can add.
-    if (gap + 2.0f * std::min(approach, 0.0f) * dt < 1.2f * a.least) danger.push_back(static_cast<std::int32_t>(index));
     if (gap >= a.distance) {
       a.slip[0] = a.slip[1] = a.slip[2] = 0.0f;
       continue;
@@ -525,27 +529,33 @@ void SelfContact::add_forces(State& state, const Fixed4* fixed, const Float4* v,
   state.touching = touching;
 }
 
-void SelfContact::stop(const State& state, const Fixed4* fixed, double unit, double dt, const float* inverse_mass,
-                       const std::vector<std::int32_t>& danger, Double4* v) const {
-  for (int pass = 0; pass < 4; ++pass) {
+void SelfContact::stop(const State& state, const Double4* x, const Fixed4* fixed, double unit, double dt, double floor,
+                       const float* inverse_mass, Double4* v) const {
+  constexpr int kPasses = 12;
+  const double per_dt = 1.0 / dt;
+  for (int pass = 0; pass < kPasses; ++pass) {
     bool changed = false;
-    for (const std::int32_t index : danger) {
+    for (const std::int32_t index : state.fast) {
       const Active& a = state.active[index];
       double gap = 0.0, approach = 0.0, inverse = 0.0;
       const Fixed4& o = fixed[a.v[0]];
       for (int k = 0; k < 4; ++k) {
-        const Fixed4& p = fixed[a.v[k]];
+        const std::int32_t i = a.v[k];
+        const Fixed4& p = fixed[i];
         const auto diff = [](std::int32_t s, std::int32_t t) {
           return static_cast<double>(static_cast<std::int32_t>(static_cast<std::uint32_t>(s) - static_cast<std::uint32_t>(t)));
         };
-        const Double4& u = v[a.v[k]];
-        const double w = a.weight[k];
-        gap += w * unit * (diff(p.x, o.x) * a.normal[0] + diff(p.y, o.y) * a.normal[1] + diff(p.z, o.z) * a.normal[2]);
-        approach += w * (u.x * a.normal[0] + u.y * a.normal[1] + u.z * a.normal[2]);
-        inverse += w * w * inverse_mass[a.v[k]];
+        const Double4& u = v[i];
+        const double w = a.weight[k], nx = a.normal[0], ny = a.normal[1], nz = a.normal[2];
+        // The ground comes after this and takes what is left of a downward velocity; here it counts as a wall.
+        const double lowest = std::min(0.0, (floor - x[i].z) * per_dt);
+        const bool blocked = u.z <= lowest && w * nz < 0.0;
+        gap += w * unit * (diff(p.x, o.x) * nx + diff(p.y, o.y) * ny + diff(p.z, o.z) * nz);
+        approach += w * (u.x * nx + u.y * ny + std::max(u.z, lowest) * nz);
+        inverse += w * w * inverse_mass[i] * (nx * nx + ny * ny + (blocked ? 0.0 : nz * nz));
       }
-      const double wanted = std::min(0.0, (a.least - gap) / dt);
-      if (approach >= wanted || inverse <= 0.0) continue;
+      const double wanted = std::min(0.0, (a.least - gap) * per_dt);
+      if (approach >= wanted - 1e-9 || inverse <= 1e-12) continue;
       const double impulse = (wanted - approach) / inverse;
       for (int k = 0; k < 4; ++k) {
         const double s = impulse * a.weight[k] * inverse_mass[a.v[k]];

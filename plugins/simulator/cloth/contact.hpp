@@ -47,6 +47,7 @@ class SelfContact {
     bool valid = false;
     std::vector<Candidate> vertex_triangle, edge_edge;
     std::vector<Active> active;
+    std::vector<std::int32_t> fast;  ///< active pairs that may come closer than half their distance in this block
     std::vector<float> path;   ///< [V] m moved since the candidates were found
     std::vector<float> slack;  ///< [V] m the candidates allow
     std::int64_t touching = 0;        ///< active pairs with force in the last substep
@@ -62,12 +63,12 @@ class SelfContact {
   /// for substeps dt (s) in a block of `block_seconds`.
   void activate(State& state, const Fixed4* fixed, double unit, const float* bound, const float* inverse_mass, float dt,
                 float block_seconds) const;
-  /// Adds contact forces of the active pairs; lists those in danger of coming too close within dt.
-  void add_forces(State& state, const Fixed4* fixed, const Float4* v, double unit, float dt, Float4* forces,
-                  std::vector<std::int32_t>& danger) const;
-  /// Inelastic impulses on the velocities so that the dangerous pairs stay at least half their distance apart.
-  void stop(const State& state, const Fixed4* fixed, double unit, double dt, const float* inverse_mass,
-            const std::vector<std::int32_t>& danger, Double4* v) const;
+  /// Adds contact forces of the active pairs.
+  void add_forces(State& state, const Fixed4* fixed, const Float4* v, double unit, float dt, Float4* forces) const;
+  /// Inelastic impulses on the velocities so that the fast pairs stay at least half their distance apart in the step
+  /// x += dt v, in which no vertex goes below floor (m).
+  void stop(const State& state, const Double4* x, const Fixed4* fixed, double unit, double dt, double floor,
+            const float* inverse_mass, Double4* v) const;
   /// Writes what the active pairs remember back to the candidates.
   void remember(State& state) const;
   /// Empty, with room for a fully folded cloth, so that the frame loop does not allocate.

@@ -6,7 +6,7 @@ namespace weft::cloth {
 struct Params {
   std::int64_t min_substeps = 1;
   std::int64_t max_substeps = 4000;
-  double step_safety = 0.8;
+  double step_safety = 0.75;
   double settle_damping_per_s = 6.0;
   double grasp_strain_warning = 0.15;
   bool self_contact = true;
