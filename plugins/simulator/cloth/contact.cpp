@@ -7,13 +7,14 @@
 namespace weft::cloth {
 namespace {
 
-// Part of the explicit limit dt^2 lambda = 4 that contact takes: 0.8 for the spring and 2 * 0.4 for the dashpot; the
+// Part of the explicit limit dt^2 lambda = 4 that contact takes: 0.5 for the spring and 2 * 0.55 for the dashpot; the
 // elements take 4 * 0.75^2 = 2.25 at the default step_safety.
-constexpr float kSpring = 0.8f;
-constexpr float kDashpot = 0.4f;
-// A vertex counts as if it carried at least this sum of |weight|, so that pairs which come and go do not change the
-// stiffness of the others: two layers give 2 to 4.
-constexpr float kLeastLoad = 5.0f;
+constexpr float kSpring = 0.5f;
+constexpr float kDashpot = 0.55f;
+// A vertex counts as if it carried at least this sum of |weight| (two layers give 2 to 4), and only pairs that touch count:
+// pairs which come and go must not change the stiffness of the others. When fast approach brought in more pairs, springs
+// were softer while compressed than while released, and resting layers bounced for ever.
+constexpr float kLeastLoad = 6.0f;
 // A pair pressed deeper than this part of its distance yields (keeps the gap it has) ...
 constexpr float kYield = 0.25f;
 // ... and recovers at this speed, m/s, so that separating layers gain no energy worth naming.
@@ -173,6 +174,11 @@ SelfContact::SelfContact(const Topology& topology, const Fabric& fabric)
       edge_thickness_(kEdgePart * static_cast<float>(fabric.thickness_m)),
       friction_(static_cast<float>(fabric.self_friction)),
       least_slack_(std::max(static_cast<float>(fabric.thickness_m), 0.08f * static_cast<float>(topology.max_edge))) {}
+
+double SelfContact::longest_step(double g) const {
+  // k depth = m g with k = kSpring m / (2 kLeastLoad dt^2).
+  return std::sqrt(0.08 * thickness_ * kSpring / (2.0 * kLeastLoad * std::max(g, 1e-9)));
+}
 
 void SelfContact::clear(State& state) const {
   const auto n = static_cast<std::size_t>(topology_->vertices);
@@ -452,6 +458,7 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
         for (int k = 0; k < 3; ++k) a.normal[k] = c.normal[k];
         a.distance = c.present;
         a.least = 0.5f * c.distance;
+        a.touching = gap < a.distance;
         if (gap - a.least < bounds - paths) state.fast.push_back(static_cast<std::int32_t>(state.active.size()));
         a.candidate = offset + static_cast<std::int32_t>(&c - list.data());
         state.active.push_back(a);
@@ -474,7 +481,8 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
   thread_local std::vector<float> load;
   load.assign(static_cast<std::size_t>(topology_->vertices), 0.0f);
   for (const Active& a : state.active)
-    for (int k = 0; k < 4; ++k) load[a.v[k]] += std::abs(a.weight[k]);
+    if (a.touching)
+      for (int k = 0; k < 4; ++k) load[a.v[k]] += std::abs(a.weight[k]);
   const float per_dt2 = 1.0f / (dt * dt);
   for (Active& a : state.active) {
     float worst = 0.0f;
