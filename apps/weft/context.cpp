@@ -24,7 +24,9 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
     if (given->is_scalar()) folders.push_back(given->as_path());
     for (std::size_t i = 0; given->is_sequence() && i < given->size(); ++i) folders.push_back((*given)[i].as_path());
   }
-  return std::make_shared<PluginRegistry>(std::move(folders));
+  // Kept for good: main still prints an error whose type may live in a plugin when the command has ended.
+  static auto& kept = *new std::vector<std::shared_ptr<const PluginRegistry>>();
+  return kept.emplace_back(std::make_shared<PluginRegistry>(std::move(folders)));
 }
 
 std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed) const {

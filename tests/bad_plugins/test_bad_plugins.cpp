@@ -1,0 +1,115 @@
+#include <map>
+
+#include "unit/test_program.hpp"
+#include "unit/test_support.hpp"
+#include "weft/plugin.hpp"
+#include "weft/registry.hpp"
+#include "weft/trajectory.hpp"
+
+namespace weft {
+namespace {
+
+namespace fs = std::filesystem;
+using test::message_of;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::StartsWith;
+
+const fs::path kFolder = WEFT_BAD_PLUGINS;
+
+// What is refused before any C++ call, and the part of the message that tells why.
+const std::map<std::string, std::string>& refusals() {
+  static const std::map<std::string, std::string> map = {
+      {"missing_symbol",
+       "does not export weft_plugin_create; export one plugin with WEFT_PLUGIN(...) from weft/plugin.hpp"},
+      {"wrong_kind", "is of kind 'teapot', must be simulator, predictor, trajectory or optimiser"},
+      {"wrong_interface_version", "has interface version 999 of trajectory, this weft has " +
+                                      std::to_string(Trajectory::kVersion) + "; rebuild it with this weft's headers"},
+      {"wrong_abi", "built as 'weft1 gxxabi1002 cxx11abi0 eigen3.3.9 align16', this weft is '" WEFT_ABI_TAG
+                    "'; build it with weft_add_plugin()"},
+      {"no_mark", "weft_plugin_info does not start with the mark of weft"},
+      {"wrong_size", "weft_plugin_info has 32 bytes, this weft's has " + std::to_string(sizeof(WeftPluginInfo))},
+      {"no_name", "has no name"},
+      {"not_a_library", "cannot be loaded as a shared library: "},
+      {"empty", "cannot be loaded as a shared library: "},
+      {"undefined_symbol", "undefined symbol: _Z24weft_nobody_defines_thisd"},
+  };
+  return map;
+}
+
+PluginRegistry registry() { return PluginRegistry({kFolder}); }
+
+TEST(BadPlugins, EachIsRefusedWithItsOwnReason) {
+  for (const auto& [name, reason] : refusals()) {
+    const std::string file = (kFolder / (name + ".so")).string();
+    EXPECT_THAT(message_of<PluginError>([&] { registry().find(file); }),
+                AllOf(StartsWith(file + ": refused: "), HasSubstr(reason)));
+  }
+}
+
+TEST(BadPlugins, ListShowsEveryRefusalAndTheGoodOnesFirst) {
+  std::map<std::string, std::string> listed;
+  bool after_refusal = false, has_good = false;
+  for (const auto& entry : registry().list()) {
+    if (!entry.refusal.empty()) {
+      after_refusal = true;
+      listed[entry.file.stem()] = entry.refusal;
+    } else {
+      EXPECT_FALSE(after_refusal) << entry.name;
+      has_good = has_good || entry.name == "good";
+    }
+  }
+  EXPECT_TRUE(has_good);
+  EXPECT_EQ(listed.size(), refusals().size());
+  for (const auto& [name, reason] : refusals()) EXPECT_THAT(listed[name], HasSubstr(reason)) << name;
+}
+
+TEST(BadPlugins, TheGoodOneAmongThemWorks) {
+  const auto plugins = std::make_shared<PluginRegistry>(std::vector<fs::path>{kFolder});
+  const auto host = make_host(plugins, {.threads = 1});
+  EXPECT_EQ(host->create<Trajectory>(ConfigNode::scalar("good"))->hands(), 2);
+}
+
+TEST(BadPlugins, ThoseThatFailLaterSayWhichLibraryAndWhy) {
+  const auto create = [](const std::string& name) {
+    const auto plugins = std::make_shared<PluginRegistry>(std::vector<fs::path>{kFolder});
+    make_host(plugins, {.threads = 1})->create<Trajectory>(ConfigNode::scalar(name));
+  };
+  const auto file = [](const std::string& name) { return (kFolder / (name + ".so")).string(); };
+  EXPECT_EQ(message_of<PluginError>([&] { create("throws_at_create"); }),
+            file("throws_at_create") + ": creating throws_at_create failed: the constructor gave up");
+  EXPECT_EQ(message_of<PluginError>([&] { create("throws_no_exception"); }),
+            file("throws_no_exception") +
+                ": creating throws_no_exception failed: it threw something that is no std::exception");
+  EXPECT_EQ(message_of<ConfigError>([&] { create("throws_own_error"); }), "throws_own_error: an error of its own");
+  EXPECT_EQ(message_of<PluginError>([&] { create("returns_null"); }),
+            file("returns_null") + ": creating returns_null failed: it returned nothing");
+  EXPECT_EQ(
+      message_of<PluginError>([&] { create("throws_in_params"); }),
+      file("throws_in_params") + ": reading the parameters of throws_in_params failed: no list of parameters today");
+}
+
+test::Outcome run(const std::string& arguments) {
+  return test::run_shell("WEFT_PLUGIN_PATH='" + kFolder.string() + "' '" WEFT_PROGRAM "' " + arguments);
+}
+
+TEST(BadPlugins, TheProgramListsThemAllAndExitsWithZero) {
+  const auto list = run("plugins");
+  EXPECT_EQ(list.code, 0) << list.output;
+  for (const auto& [name, reason] : refusals()) EXPECT_THAT(list.output, HasSubstr(reason)) << name;
+  EXPECT_THAT(list.output, HasSubstr("trajectory  good"));
+}
+
+TEST(BadPlugins, TheProgramRefusesEachWithExitCodeTwo) {
+  for (const auto& [name, reason] : refusals()) {
+    const auto describe = run("describe '" + (kFolder / (name + ".so")).string() + "'");
+    EXPECT_EQ(describe.code, 2) << name << ": " << describe.output;
+    EXPECT_THAT(describe.output, AllOf(StartsWith("error: "), HasSubstr(reason))) << name;
+  }
+  const auto params = run("describe throws_in_params");
+  EXPECT_EQ(params.code, 2);
+  EXPECT_THAT(params.output, HasSubstr("no list of parameters today"));
+}
+
+}  // namespace
+}  // namespace weft
