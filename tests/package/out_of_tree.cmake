@@ -1,0 +1,66 @@
+# Run with -P. BUILD: weft's build tree; PLUGINS: the out-of-tree project; WORK: scratch folder, emptied first.
+function(run)
+  list(JOIN ARGN " " line)
+  message(STATUS "${line}")
+  execute_process(COMMAND ${ARGN} RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE output)
+  set(output "${output}" PARENT_SCOPE)
+  if(code)
+    message(FATAL_ERROR "exit code ${code}\n${output}")
+  endif()
+endfunction()
+
+# The environment of somebody who only has the installed tree.
+foreach(variable WEFT_PLUGIN_PATH LD_LIBRARY_PATH CMAKE_PREFIX_PATH DESTDIR)
+  unset(ENV{${variable}})
+endforeach()
+file(REMOVE_RECURSE ${WORK})
+
+# Installed here, used there: the tree can be moved.
+run(${CMAKE_COMMAND} --install ${BUILD} --prefix ${WORK}/installed)
+file(RENAME ${WORK}/installed ${WORK}/prefix)
+set(weft ${WORK}/prefix/bin/weft)
+run(${weft} plugins)
+if(output MATCHES "refused" OR NOT output MATCHES "trajectory +arc .*${WORK}/prefix/")
+  message(FATAL_ERROR "the moved tree does not load its own plugins:\n${output}")
+endif()
+
+run(${CMAKE_COMMAND} -S ${PLUGINS} -B ${WORK}/build -G ${GENERATOR} -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_COMPILER=${CXX}
+    -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DCMAKE_CXX_FLAGS=${FLAGS} -DCMAKE_PREFIX_PATH=${WORK}/prefix)
+file(STRINGS ${WORK}/build/CMakeCache.txt found REGEX "^weft_DIR:")
+if(NOT found MATCHES "=${WORK}/prefix/")
+  message(FATAL_ERROR "find_package(weft) found another one: ${found}")
+endif()
+run(${CMAKE_COMMAND} --build ${WORK}/build)
+
+# The laws, registered in ctest by weft_add_plugin().
+run(${CMAKE_CTEST_COMMAND} --test-dir ${WORK}/build --output-on-failure --no-tests=error)
+message(STATUS "${output}")
+foreach(test trajectory.min_jerk optimiser.momentum predictor.follow simulator.mass_spring)
+  if(NOT output MATCHES "conformance.${test} \\.+ +Passed")
+    message(FATAL_ERROR "conformance.${test} did not run")
+  endif()
+endforeach()
+
+# A session, the plugins found through WEFT_PLUGIN_PATH.
+set(garment garment=${WORK}/prefix/share/weft/configs/garments/towel.yaml)
+file(GLOB_RECURSE found ${WORK}/build/*weft_trajectory_min_jerk.so)
+get_filename_component(folder "${found}" DIRECTORY)
+set(ENV{WEFT_PLUGIN_PATH} ${folder})
+run(${weft} run ${PLUGINS}/fold.yaml --set ${garment} --out ${WORK}/session)
+message(STATUS "${output}")
+file(READ ${WORK}/session/summary.json summary)
+string(JSON error GET "${summary}" error_mm)
+string(JSON default_error GET "${summary}" default_error_mm)
+if(NOT error LESS default_error)
+  message(FATAL_ERROR "the session ends ${error} mm off the goal, the default control ${default_error} mm")
+endif()
+
+# And installed beside weft's own, without the variable.
+unset(ENV{WEFT_PLUGIN_PATH})
+run(${CMAKE_COMMAND} --install ${WORK}/build --prefix ${WORK}/prefix)
+foreach(name trajectory/min_jerk optimiser/momentum predictor/follow simulator/mass_spring)
+  run(${weft} describe ${name})
+  if(NOT output MATCHES "${WORK}/prefix/")
+    message(FATAL_ERROR "${name} was found elsewhere:\n${output}")
+  endif()
+endforeach()
