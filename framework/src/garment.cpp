@@ -81,6 +81,11 @@ void check_finite(const Mesh& mesh, const std::string& where) {
   }
 }
 
+bool same_vertices(const Faces& faces, Index f, Index g) {
+  const auto has = [&faces, f](int v) { return faces(f, 0) == v || faces(f, 1) == v || faces(f, 2) == v; };
+  return has(faces(g, 0)) && has(faces(g, 1)) && has(faces(g, 2));
+}
+
 void check_manifold(const Mesh& mesh, const std::string& where) {
   const std::vector<Side> sides = sides_of(mesh.faces);
   for (std::size_t i = 0; i < sides.size();) {
@@ -89,6 +94,9 @@ void check_manifold(const Mesh& mesh, const std::string& where) {
     const std::string edge = "edge " + std::to_string(sides[i].first) + "-" + std::to_string(sides[i].second) +
                              " (OBJ " + std::to_string(sides[i].first + 1) + "-" + std::to_string(sides[i].second + 1) +
                              ")";
+    if (end - i > 1 && same_vertices(mesh.faces, sides[i].face, sides[i + 1].face)) {
+      throw ConfigError(where + face_text(sides[i + 1].face) + " repeats " + face_text(sides[i].face));
+    }
     if (end - i > 2) {
       throw ConfigError(where + edge + " is non-manifold: it belongs to " + std::to_string(end - i) + " faces, " +
                         face_text(sides[i].face) + ", " + face_text(sides[i + 1].face) + ", " +

@@ -92,7 +92,7 @@ struct MeshSize {
   double fine_edge_m = 0.0;  ///< 0: uniform
   double fine_band_m = 0.0;  ///< half width of the band
   double growth = 0.15;
-  std::vector<Line> fine_lines;
+  std::vector<Line> fine_lines = {};
   WEFT_API double at(const Vec2& p) const;
 };
 
