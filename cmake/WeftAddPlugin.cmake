@@ -1,11 +1,14 @@
 # weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
-#                 [CONFORMANCE file.yaml] [NO_CONFORMANCE_TEST] [NO_INSTALL])
+#                 [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
 # Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
 # `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
 function(weft_add_plugin name)
-  cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;MARCH;CONFORMANCE" "SOURCES;LIBRARIES" ${ARGN})
+  cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;MARCH;CONFORMANCE;OUTPUT_DIRECTORY" "SOURCES;LIBRARIES" ${ARGN})
   if(NOT ARG_KIND MATCHES "^(simulator|predictor|trajectory|optimiser)$")
     message(FATAL_ERROR "weft_add_plugin(${name}): KIND is '${ARG_KIND}', must be simulator, predictor, trajectory or optimiser")
+  endif()
+  if(NOT ARG_OUTPUT_DIRECTORY)
+    set(ARG_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/${CMAKE_INSTALL_LIBDIR}/weft/plugins)
   endif()
   set(target weft_${ARG_KIND}_${name})
   add_library(${target} MODULE ${ARG_SOURCES})
@@ -14,7 +17,7 @@ function(weft_add_plugin name)
   target_compile_features(${target} PRIVATE cxx_std_20)
   set_target_properties(${target} PROPERTIES
     PREFIX "lib" OUTPUT_NAME ${target} CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON
-    LIBRARY_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/${CMAKE_INSTALL_LIBDIR}/weft/plugins)
+    LIBRARY_OUTPUT_DIRECTORY ${ARG_OUTPUT_DIRECTORY})
   if(ARG_MARCH)
     target_compile_options(${target} PRIVATE -march=${ARG_MARCH})
   endif()

@@ -1,3 +1,4 @@
+cmake_minimum_required(VERSION 3.25)
 # Writes OUTPUT, a header naming the commit of SOURCE: "unknown" without git, and for a source tree that is no
 # repository of its own (an unpacked release inside somebody's repository must not take that repository's commit).
 set(commit "unknown")

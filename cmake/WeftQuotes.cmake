@@ -1,3 +1,4 @@
+cmake_minimum_required(VERSION 3.25)
 # Run with -P. Checks that the code blocks of a Markdown file are equal to the files they quote; with -DUPDATE=ON, makes
 # them so. A quote is a line `<!-- quote: path/from/the/root -->` followed by a fenced block with the whole file.
 file(READ ${ROOT}/${GUIDE} text)

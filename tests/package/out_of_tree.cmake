@@ -1,3 +1,4 @@
+cmake_minimum_required(VERSION 3.25)
 # Run with -P. BUILD: weft's build tree; PLUGINS: the out-of-tree project; WORK: scratch folder, emptied first.
 function(run)
   list(JOIN ARGN " " line)
