@@ -11,10 +11,10 @@ namespace weft {
 
 /// A triangle mesh as an OBJ file holds it. `vt` are rest coordinates in metres, one per vertex.
 struct Mesh {
-  Positions positions;     ///< [V, 3] m
-  Faces faces;             ///< [F, 3]
-  RestPositions rest;      ///< [V, 2] m, or [0, 2] when the file has no vt
-  std::string source;      ///< file name, for messages
+  Positions positions;  ///< [V, 3] m
+  Faces faces;          ///< [F, 3]
+  RestPositions rest;   ///< [V, 2] m, or [0, 2] when the file has no vt
+  std::string source;   ///< file name, for messages
 };
 
 /// Reads triangles from a Wavefront OBJ. Several components are allowed.
@@ -27,11 +27,11 @@ WEFT_API void write_obj(const std::filesystem::path& path, const Mesh& mesh, boo
 /// Immutable once made; topology is fixed for its whole life.
 struct Garment {
   std::string name;
-  Positions positions;                   ///< [V, 3] m: the shape before anything happened, lying flat for a 2D garment
-  RestPositions rest;                    ///< [V, 2] m: unstretched, x = warp, y = weft
-  Faces faces;                           ///< [F, 3]
-  std::map<std::string, Index> vertices; ///< named vertices, such as left_sleeve_top
-  std::uint64_t hash = 0;                ///< of rest positions and faces; recorded with data and models
+  Positions positions;                    ///< [V, 3] m: the shape before anything happened, lying flat for a 2D garment
+  RestPositions rest;                     ///< [V, 2] m: unstretched, x = warp, y = weft
+  Faces faces;                            ///< [F, 3]
+  std::map<std::string, Index> vertices;  ///< named vertices, such as left_sleeve_top
+  std::uint64_t hash = 0;                 ///< of rest positions and faces; recorded with data and models
 
   Index vertex_count() const { return positions.rows(); }
   Index face_count() const { return faces.rows(); }

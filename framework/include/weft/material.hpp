@@ -32,8 +32,8 @@ struct MaterialTables {
   /// N/m. Row 0: zero strain; rows 1-5: principal stretch 1 + 1/6 at 0, 22.5, 45, 67.5, 90 deg from warp.
   /// Columns c11, c12, c22, c33. The stiffness is C = 2 c with negatives clamped to 0 (see docs/file-formats.md).
   std::array<std::array<double, 4>, 6> stretching{};
-  /// N m, "ke". Rows: direction of the edge (bend axis) 0, 45, 90 deg from warp; columns: curvature 0, 10, 20, 30, 40 1/m.
-  /// The plate's bending modulus is B = ke / 4.
+  /// N m, "ke". Rows: direction of the edge (bend axis) 0, 45, 90 deg from warp; columns: curvature 0, 10, 20, 30, 40
+  /// 1/m. The plate's bending modulus is B = ke / 4.
   std::array<std::array<double, 5>, 3> bending{};
 };
 
@@ -49,14 +49,15 @@ struct Fabric {
   // Plate bending modulus B, N m (moment per width per curvature).
   double bend_warp_n_m = 2.0e-5;
   double bend_weft_n_m = 2.0e-5;
-  double bend_bias_n_m = 2.0e-5;  ///< at 45 deg: B(p) = Bw c^4 + Bf s^4 + (4 Bb - Bw - Bf) c^2 s^2
-  double friction = 0.5;          ///< Coulomb, cloth on ground
-  double self_friction = 0.3;     ///< Coulomb, cloth on cloth
-  double thickness_m = 0.001;     ///< distance mid-surface to ground and mid-surface to mid-surface
-  double damping_stretch_s = 0.0; ///< stiffness-proportional
-  double damping_bend_s = 0.0;    ///< stiffness-proportional
-  double damping_air_per_s = 0.0; ///< mass-proportional drag against still air
-  /// Set when the fabric came from an ARCSim/ARGUS file: then they replace the constants above (scaled by the multipliers).
+  double bend_bias_n_m = 2.0e-5;   ///< at 45 deg: B(p) = Bw c^4 + Bf s^4 + (4 Bb - Bw - Bf) c^2 s^2
+  double friction = 0.5;           ///< Coulomb, cloth on ground
+  double self_friction = 0.3;      ///< Coulomb, cloth on cloth
+  double thickness_m = 0.001;      ///< distance mid-surface to ground and mid-surface to mid-surface
+  double damping_stretch_s = 0.0;  ///< stiffness-proportional
+  double damping_bend_s = 0.0;     ///< stiffness-proportional
+  double damping_air_per_s = 0.0;  ///< mass-proportional drag against still air
+  /// Set when the fabric came from an ARCSim/ARGUS file: then they replace the constants above (scaled by the
+  /// multipliers).
   std::shared_ptr<const MaterialTables> tables;
   double stretch_multiplier = 1.0;  ///< applies to the tables; the constants above are already multiplied
   double bend_multiplier = 1.0;     ///< likewise
@@ -67,9 +68,9 @@ struct Fabric {
 
 /// Reads `fabric:` of a scene or task: a mapping in SI units, the path of such a YAML file, or the path of an
 /// ARCSim/ARGUS material .json; or a mapping {file: PATH, stretch_multiplier, bend_multiplier, ...} whose other keys
-/// replace those of the file (of a .json: name, density, friction, self_friction, thickness and damping). Both kinds of file may hold
-/// the multipliers themselves; multipliers multiply.
-/// Left out: shear is the mean of warp and weft / 2 / (1 + poisson), bias the mean of warp and weft.
+/// replace those of the file (of a .json: name, density, friction, self_friction, thickness and damping). Both kinds of
+/// file may hold the multipliers themselves; multipliers multiply. Left out: shear is the mean of warp and weft / 2 /
+/// (1 + poisson), bias the mean of warp and weft.
 /// @throws ConfigError with file and line.
 WEFT_API Fabric read_fabric(const ConfigNode& node);
 /// The fabric as a mapping that read_fabric reads back to the same bits.
