@@ -27,8 +27,8 @@ int tune(const Context& context, const std::string& file) {
   } else {
     std::printf("displacement_m: [%.4f, %.4f]\n", result.displacement.x(), result.displacement.y());
     char line[120];
-    std::snprintf(line, sizeof(line), "# mean misfit of the folded half: %.1f mm, %td folds simulated", result.misfit_mm,
-                  result.evaluations);
+    std::snprintf(line, sizeof(line), "# mean misfit of the folded half: %.1f mm, %td folds simulated",
+                  result.misfit_mm, result.evaluations);
     context.say(line);
   }
   return 0;
@@ -37,7 +37,8 @@ int tune(const Context& context, const std::string& file) {
 }  // namespace
 
 void register_displacement(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("displacement", "Tune the length of d so that the default arc folds the garment in two");
+  CLI::App* command =
+      app.add_subcommand("displacement", "Tune the length of d so that the default arc folds the garment in two");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Task file; its manipulation.displacement_m gives the direction")->required();

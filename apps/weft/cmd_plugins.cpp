@@ -14,7 +14,11 @@ int list_plugins(const Context& context) {
   if (context.json) {
     auto array = nlohmann::ordered_json::array();
     for (const auto& e : entries) {
-      array.push_back({{"kind", e.kind}, {"name", e.name}, {"version", e.version}, {"file", e.file.string()}, {"refusal", e.refusal}});
+      array.push_back({{"kind", e.kind},
+                       {"name", e.name},
+                       {"version", e.version},
+                       {"file", e.file.string()},
+                       {"refusal", e.refusal}});
     }
     std::cout << array.dump(2) << '\n';
     return 0;
@@ -41,10 +45,18 @@ int describe(const Context& context, const std::string& name, bool markdown) {
   if (context.json) {
     auto array = nlohmann::ordered_json::array();
     for (const auto& p : params) {
-      array.push_back({{"name", p.name}, {"type", p.type}, {"unit", p.unit}, {"range", p.range}, {"default", p.default_value}, {"text", p.text}});
+      array.push_back({{"name", p.name},
+                       {"type", p.type},
+                       {"unit", p.unit},
+                       {"range", p.range},
+                       {"default", p.default_value},
+                       {"text", p.text}});
     }
-    std::cout << nlohmann::ordered_json{{"kind", entry.kind}, {"name", entry.name}, {"version", entry.version},
-                                        {"file", entry.file.string()}, {"params", array}}
+    std::cout << nlohmann::ordered_json{{"kind", entry.kind},
+                                        {"name", entry.name},
+                                        {"version", entry.version},
+                                        {"file", entry.file.string()},
+                                        {"params", array}}
                      .dump(2)
               << '\n';
   } else if (markdown) {
@@ -53,8 +65,8 @@ int describe(const Context& context, const std::string& name, bool markdown) {
     std::printf("%s/%s %s  (%s)\n", entry.kind.c_str(), entry.name.c_str(), entry.version.c_str(), entry.file.c_str());
     for (const auto& p : params) {
       const std::string unit = p.unit.empty() ? "" : " " + p.unit;
-      std::printf("  %-26s %s%s, %s; default %s\n      %s\n", p.name.c_str(), p.type.c_str(), unit.c_str(), p.range.c_str(),
-                  p.default_value.empty() ? "(none)" : p.default_value.c_str(), p.text.c_str());
+      std::printf("  %-26s %s%s, %s; default %s\n      %s\n", p.name.c_str(), p.type.c_str(), unit.c_str(),
+                  p.range.c_str(), p.default_value.empty() ? "(none)" : p.default_value.c_str(), p.text.c_str());
     }
     if (params.empty()) std::printf("  no parameters\n");
   }

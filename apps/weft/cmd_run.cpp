@@ -18,15 +18,16 @@ int run(Context& context, const std::string& file) {
   const auto host = context.host(registry, seed);
   // Everything that can be wrong in the config shows here, before any work.
   const Task task = make_task(params.task, config, *host);
-  const auto folder = output_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(seed));
+  const auto folder =
+      output_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(seed));
   ConfigNode saved = self_contained(resolved, task, *registry, folder);
 
-  context.say("folding " + task.garment->name + " (" + std::to_string(task.garment->vertex_count()) + " vertices), seed " +
-              std::to_string(seed) + ", " + std::to_string(host->threads()) + " threads");
+  context.say("folding " + task.garment->name + " (" + std::to_string(task.garment->vertex_count()) +
+              " vertices), seed " + std::to_string(seed) + ", " + std::to_string(host->threads()) + " threads");
   const auto progress = [&](const SessionRound& round, Index number, double) {
     char line[160];
-    std::snprintf(line, sizeof(line), "segment %2td  plan %5.1f s  %2td segments to go  predicted %5.1f mm%s", number + 1,
-                  round.plan.seconds, round.plan.controls.rows() - 1, round.plan.predicted_error_mm,
+    std::snprintf(line, sizeof(line), "segment %2td  plan %5.1f s  %2td segments to go  predicted %5.1f mm%s",
+                  number + 1, round.plan.seconds, round.plan.controls.rows() - 1, round.plan.predicted_error_mm,
                   round.plan.releases ? "" : "  (no release yet)");
     context.say(line);
   };

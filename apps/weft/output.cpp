@@ -14,7 +14,8 @@ fs::path output_folder(const Context& context, const std::string& name) {
   const fs::path folder = context.out.empty() ? fs::path("results") / name : fs::path(context.out);
   std::error_code error;
   fs::create_directories(folder, error);
-  if (!fs::is_directory(folder)) throw ConfigError("--out " + folder.string() + ": is not a folder that can be made: " + error.message());
+  if (!fs::is_directory(folder))
+    throw ConfigError("--out " + folder.string() + ": is not a folder that can be made: " + error.message());
   return folder;
 }
 
@@ -31,7 +32,8 @@ std::string provenance_json(const PluginRegistry& registry, const Host& host, st
          "\n";
 }
 
-ConfigNode self_contained(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry, const fs::path& folder) {
+ConfigNode self_contained(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
+                          const fs::path& folder) {
   const auto& garment = *task.garment;
   write_obj(folder / "garment.obj", {garment.positions, garment.faces, garment.rest, garment.name}, true);
   std::vector<std::pair<std::string, ConfigNode>> vertices;

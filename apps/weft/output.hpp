@@ -13,8 +13,8 @@ std::filesystem::path output_folder(const Context& context, const std::string& n
 /// Version, commit, plugins used, threads and machine: enough, with the resolved config, to repeat a run exactly.
 std::string provenance_json(const PluginRegistry& registry, const Host& host, std::uint64_t seed);
 
-/// Makes the resolved config of a task independent of where its files lie: the garment goes into the folder as garment.obj,
-/// the material space into the config itself, plugin slots get every default.
+/// Makes the resolved config of a task independent of where its files lie: the garment goes into the folder as
+/// garment.obj, the material space into the config itself, plugin slots get every default.
 ConfigNode self_contained(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
                           const std::filesystem::path& folder);
 

@@ -60,11 +60,16 @@ Index Trajectory::release_segment(const Manipulation& manipulation, ConstVec sta
 
 const char* to_string(OptimiserStatus status) {
   switch (status) {
-    case OptimiserStatus::converged: return "converged";
-    case OptimiserStatus::budget_spent: return "budget_spent";
-    case OptimiserStatus::stopped: return "stopped";
-    case OptimiserStatus::diverged: return "diverged";
-    case OptimiserStatus::infeasible: return "infeasible";
+    case OptimiserStatus::converged:
+      return "converged";
+    case OptimiserStatus::budget_spent:
+      return "budget_spent";
+    case OptimiserStatus::stopped:
+      return "stopped";
+    case OptimiserStatus::diverged:
+      return "diverged";
+    case OptimiserStatus::infeasible:
+      return "infeasible";
   }
   return "";
 }

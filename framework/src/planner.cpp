@@ -24,7 +24,8 @@ Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
   return gradient;
 }
 
-/// dL/d controls from dL/d state after every segment [k, S]: the chain of advance_pullback backwards through all frames.
+/// dL/d controls from dL/d state after every segment [k, S]: the chain of advance_pullback backwards through all
+/// frames.
 Controls states_pullback(const Task& task, const Vector& start, const Controls& controls, const Controls& d_states) {
   const auto& trajectory = *task.trajectory;
   Controls gradient = Controls::Zero(controls.rows(), controls.cols());
@@ -51,8 +52,8 @@ Controls states_pullback(const Task& task, const Vector& start, const Controls& 
 /// Eq. 4 on a batch of decision vectors.
 class PlanningObjective final : public Objective {
  public:
-  PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params, const PlanRequest& request,
-                    Index horizon)
+  PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params,
+                    const PlanRequest& request, Index horizon)
       : task_(task), predictor_(predictor), params_(params), request_(request), horizon_(horizon) {}
 
   Index dim() const override { return task_.trajectory->decision_size(horizon_); }
@@ -62,12 +63,15 @@ class PlanningObjective final : public Objective {
     require_shape("planning objective: x rows", x.rows(), dim());
     require_shape("planning objective: instances", static_cast<Index>(instances.size()), x.cols());
     if (wanted.residuals) throw Unsupported("planning objective: offers no residuals");
-    if (wanted.gradients && !capabilities().gradients) throw Unsupported("planning objective: the predictor has no gradients");
+    if (wanted.gradients && !capabilities().gradients)
+      throw Unsupported("planning objective: the predictor has no gradients");
     const Index n = x.cols();
     std::vector<PredictionCase> cases;
     for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
-    const auto prediction = predictor_.predict(
-        cases, {.moments = Moments::mean, .gradients = wanted.gradients, .control_gradients = true, .knowledge_gradients = false});
+    const auto prediction = predictor_.predict(cases, {.moments = Moments::mean,
+                                                       .gradients = wanted.gradients,
+                                                       .control_gradients = true,
+                                                       .knowledge_gradients = false});
     evaluations_ += n;
 
     Evaluation result;
@@ -164,8 +168,8 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
   return loss;
 }
 
-Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor, std::shared_ptr<const Optimiser> optimiser,
-                 const PlannerParams& params, Host& host)
+Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
+                 std::shared_ptr<const Optimiser> optimiser, const PlannerParams& params, Host& host)
     : task_(task), predictor_(std::move(predictor)), optimiser_(std::move(optimiser)), params_(params), host_(host) {
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
     throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
@@ -177,7 +181,9 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor, s
 
 Plan Planner::plan(const PlanRequest& request) const {
   const auto started = std::chrono::steady_clock::now();
-  const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count(); };
+  const auto elapsed = [&] {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+  };
   const auto& trajectory = *task_.trajectory;
   const bool first = request.warm_start.rows() == 0;
 
@@ -195,7 +201,8 @@ Plan Planner::plan(const PlanRequest& request) const {
   for (Index i = 0; i < starts.cols(); ++i) {
     RandomStream random = RandomStream(request.seed, 0x706c616eull, static_cast<std::uint64_t>(request.round))
                               .child(static_cast<std::uint64_t>(i));
-    for (Index k = 0; k < starts.rows(); ++k) starts(k, i) = centre(k) + (i == 0 ? 0.0 : noise * scale(k) * random.normal());
+    for (Index k = 0; k < starts.rows(); ++k)
+      starts(k, i) = centre(k) + (i == 0 ? 0.0 : noise * scale(k) * random.normal());
     starts.col(i) = bounds.clamp(starts.col(i));
   }
 
@@ -204,7 +211,8 @@ Plan Planner::plan(const PlanRequest& request) const {
   options.max_iterations = first ? params_.iterations : params_.replan_iterations;
   options.seed = RandomStream(request.seed, 0x6f707469ull, static_cast<std::uint64_t>(request.round)).bits64();
   const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
-  if (is_replay) options.max_iterations = static_cast<Index>(params_.replay_iterations[static_cast<std::size_t>(request.round)]);
+  if (is_replay)
+    options.max_iterations = static_cast<Index>(params_.replay_iterations[static_cast<std::size_t>(request.round)]);
   const auto observer = [&](Index iteration, const Vector& best) {
     plan.iterations = iteration;
     plan.curves.emplace_back(best.data(), best.data() + best.size());
@@ -230,7 +238,8 @@ Plan Planner::plan(const PlanRequest& request) const {
   winner.segments.clear();
   for (Index j = 1; j <= u; ++j) winner.segments.push_back(j);
   const auto prediction = predictor_->predict({winner}, {.moments = Moments::mean_and_sigma});
-  if (!prediction->failure(0).empty()) throw Error("planning: the chosen plan cannot be predicted: " + prediction->failure(0));
+  if (!prediction->failure(0).empty())
+    throw Error("planning: the chosen plan cannot be predicted: " + prediction->failure(0));
   plan.shapes = prediction->shapes().front();
   plan.controls = winner.controls;
   const Controls states = trajectory.segment_states(task_.manipulation, request.state, plan.controls);

@@ -6,12 +6,14 @@ namespace weft {
 
 Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   Task task;
-  task.garment = std::make_shared<const Garment>(read_garment(params.garment.is_null() ? origin.at("garment") : params.garment));
+  task.garment =
+      std::make_shared<const Garment>(read_garment(params.garment.is_null() ? origin.at("garment") : params.garment));
   task.material = read_material_space(params.material.is_null() ? origin.at("material") : params.material);
   task.trajectory = host.create<Trajectory>(params.trajectory);
   task.simulator = params.simulator;
   task.settle = {params.settle.speed_m_per_s, params.settle.hold_frames, params.settle.max_frames};
-  if (params.scene.gravity_m_per_s2.size() != 3) origin.fail("scene.gravity_m_per_s2 must be a list of 3 numbers, m/s^2");
+  if (params.scene.gravity_m_per_s2.size() != 3)
+    origin.fail("scene.gravity_m_per_s2 must be a list of 3 numbers, m/s^2");
   task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
 
   auto& manipulation = task.manipulation;
@@ -22,10 +24,12 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   manipulation.grasp_points.resize(task.trajectory->hands(), 3);
   for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {
     manipulation.grasp_vertices.push_back(task.garment->vertex(params.manipulation.grasp[i]));
-    manipulation.grasp_points.row(static_cast<Index>(i)) = task.garment->positions.row(manipulation.grasp_vertices.back());
+    manipulation.grasp_points.row(static_cast<Index>(i)) =
+        task.garment->positions.row(manipulation.grasp_vertices.back());
   }
   if (params.manipulation.displacement_m.size() != 2) {
-    origin.fail("manipulation.displacement_m must be a list of 2 numbers, m; `weft displacement` finds it for a garment");
+    origin.fail(
+        "manipulation.displacement_m must be a list of 2 numbers, m; `weft displacement` finds it for a garment");
   }
   manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
   manipulation.drop_height = params.manipulation.drop_height_m;
@@ -37,7 +41,8 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   return task;
 }
 
-FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material, const Controls& controls) {
+FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material,
+                         const Controls& controls) {
   FoldResult result;
   simulator.reset(task.garment, task.material.at(material), task.scene);
   simulator.grasp(task.manipulation.grasp_vertices);

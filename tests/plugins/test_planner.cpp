@@ -25,8 +25,8 @@ class QuietHost final : public Host {
   std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override { return nullptr; }
 };
 
-/// The shape after segment j is the pair of grasp targets at that control state, so a goal is reached exactly by the controls
-/// that made it, and the gradient is the chain of the trajectory's own pullbacks.
+/// The shape after segment j is the pair of grasp targets at that control state, so a goal is reached exactly by the
+/// controls that made it, and the gradient is the chain of the trajectory's own pullbacks.
 class TargetsPrediction final : public Prediction {
  public:
   TargetsPrediction(const Task& task, const std::vector<PredictionCase>& cases) : task_(task), cases_(cases) {
@@ -51,12 +51,14 @@ class TargetsPrediction final : public Prediction {
       gradient.controls = Controls::Zero(one.controls.rows(), one.controls.cols());
       std::vector<Vector> states{one.state};
       for (Index f = 0; f < one.controls.rows() * kFramesPerSegment; ++f) {
-        states.push_back(trajectory.advance(task_.manipulation, states.back(), one.controls.row(f / kFramesPerSegment).transpose()));
+        states.push_back(
+            trajectory.advance(task_.manipulation, states.back(), one.controls.row(f / kFramesPerSegment).transpose()));
       }
       for (std::size_t k = 0; k < one.segments.size(); ++k) {
         if (cotangents[i][k].mean.rows() == 0) continue;
         const Index last = one.segments[k] * kFramesPerSegment;
-        Vector d = trajectory.targets_pullback(task_.manipulation, states[static_cast<std::size_t>(last)], cotangents[i][k].mean);
+        Vector d = trajectory.targets_pullback(task_.manipulation, states[static_cast<std::size_t>(last)],
+                                               cotangents[i][k].mean);
         for (Index f = last - 1; f >= 0; --f) {
           Vector d_state, d_control;
           trajectory.advance_pullback(task_.manipulation, states[static_cast<std::size_t>(f)],
@@ -82,7 +84,8 @@ class TargetsPredictor final : public Predictor {
   bool has_gradients = true;
   PredictorCapabilities capabilities() const override { return {.gradients = has_gradients}; }
   void bind(const Task& task) override { task_ = task; }
-  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases, const PredictionRequest&) const override {
+  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
+                                      const PredictionRequest&) const override {
     return std::make_unique<TargetsPrediction>(task_, cases);
   }
 
@@ -119,8 +122,8 @@ struct Bench {
     controls.col(4).setConstant(-2e-4);
     const Index u = task.trajectory->release_segment(task.manipulation, request.state, controls);
     const Controls states = task.trajectory->segment_states(task.manipulation, request.state, controls);
-    request.goal = std::make_shared<const Positions>(
-        task.trajectory->targets(task.manipulation, states.row(u - 1).transpose()));
+    request.goal =
+        std::make_shared<const Positions>(task.trajectory->targets(task.manipulation, states.row(u - 1).transpose()));
     params.instances = 4;
     params.iterations = 120;
     params.activity_weight = 0.01;
@@ -132,10 +135,11 @@ TEST(Planner, ReachesAGoalOffTheDefaultTrajectory) {
   Bench setup;
   const Index default_u = setup.task.trajectory->release_segment(setup.task.manipulation, setup.request.state,
                                                                  setup.task.trajectory->default_controls(25));
-  const Controls default_states =
-      setup.task.trajectory->segment_states(setup.task.manipulation, setup.request.state, setup.task.trajectory->default_controls(25));
+  const Controls default_states = setup.task.trajectory->segment_states(setup.task.manipulation, setup.request.state,
+                                                                        setup.task.trajectory->default_controls(25));
   const double default_error = mean_distance_mm(
-      setup.task.trajectory->targets(setup.task.manipulation, default_states.row(default_u - 1).transpose()), *setup.request.goal);
+      setup.task.trajectory->targets(setup.task.manipulation, default_states.row(default_u - 1).transpose()),
+      *setup.request.goal);
   ASSERT_GT(default_error, 30.0);
   const Plan plan = setup.plan();
   EXPECT_LT(plan.predicted_error_mm, 2.0);
@@ -233,7 +237,8 @@ TEST(ActivityLoss, GradientEqualsCentralDifferences) {
       up(j, c) += h;
       down(j, c) -= h;
       const double expected = (activity_loss(setup.task, setup.request.state, up, 7, 10.0, nullptr) -
-                               activity_loss(setup.task, setup.request.state, down, 7, 10.0, nullptr)) / (2 * h);
+                               activity_loss(setup.task, setup.request.state, down, 7, 10.0, nullptr)) /
+                              (2 * h);
       EXPECT_NEAR(gradient(j, c) * scale, expected * scale, 1e-5) << j << ", " << c;
     }
   }

@@ -11,15 +11,16 @@
 namespace weft::rollout {
 namespace {
 
-/// Linear in the targets and smooth in the material: every frame each vertex goes a share of the way to the mean target; the
-/// share depends on the vertex and on the fabric. Release halves all heights.
+/// Linear in the targets and smooth in the material: every frame each vertex goes a share of the way to the mean
+/// target; the share depends on the vertex and on the fabric. Release halves all heights.
 class ToySimulator final : public Simulator {
  public:
   struct Snapshot final : SimulatorSnapshot {
     Positions positions;
     bool holds = false;
   };
-  ToySimulator(bool snapshots, std::atomic<int>& steps, double diverge_above) : snapshots_(snapshots), steps_(steps), diverge_above_(diverge_above) {}
+  ToySimulator(bool snapshots, std::atomic<int>& steps, double diverge_above)
+      : snapshots_(snapshots), steps_(steps), diverge_above_(diverge_above) {}
 
   SimulatorCapabilities capabilities() const override { return {.snapshots = snapshots_}; }
   void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene&) override {
@@ -91,7 +92,8 @@ class ToyHost final : public Host {
 
  protected:
   std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override {
-    return std::static_pointer_cast<void>(std::static_pointer_cast<Simulator>(std::make_shared<ToySimulator>(snapshots, steps, diverge_above)));
+    return std::static_pointer_cast<void>(
+        std::static_pointer_cast<Simulator>(std::make_shared<ToySimulator>(snapshots, steps, diverge_above)));
   }
 };
 

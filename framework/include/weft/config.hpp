@@ -21,7 +21,8 @@ class WEFT_API ConfigNode {
 
   ConfigNode();  ///< null
 
-  /// Reads a file; a mapping with `extends: other.yaml` (path relative to the file) is merged over that file, key by key.
+  /// Reads a file; a mapping with `extends: other.yaml` (path relative to the file) is merged over that file, key by
+  /// key.
   /// @throws ConfigError "file:line: ..." for a missing file, a syntax error, a repeated key or a circular extends.
   static ConfigNode load(const std::filesystem::path& file);
   /// Reads YAML text; `name` stands for the file in messages, `folder` is what relative paths are relative to.
@@ -45,8 +46,8 @@ class WEFT_API ConfigNode {
   /// @throws ConfigError naming the nearest key when it is missing.
   ConfigNode at(std::string_view key) const;
   bool has(std::string_view key) const { return find(key).has_value(); }
-  std::vector<std::string> keys() const;  ///< in file order
-  std::size_t size() const;               ///< items of a sequence, entries of a mapping, else 0
+  std::vector<std::string> keys() const;       ///< in file order
+  std::size_t size() const;                    ///< items of a sequence, entries of a mapping, else 0
   ConfigNode operator[](std::size_t i) const;  ///< sequence item
 
   /// @throws ConfigError "<where>: <path> = <got>, must be <wanted>".

@@ -26,9 +26,9 @@ class WEFT_API Host {
   }
 
   virtual int threads() const = 0;  ///< worker threads, >= 1; part of the resolved config
-  /// Runs body(i) for i in [0, count), on up to threads() threads, and waits. The split depends on count and threads only
-  /// by scheduling: bodies must not depend on one another. The first exception (lowest i) is rethrown here.
-  /// Calls from inside a body run on the calling thread.
+  /// Runs body(i) for i in [0, count), on up to threads() threads, and waits. The split depends on count and threads
+  /// only by scheduling: bodies must not depend on one another. The first exception (lowest i) is rethrown here. Calls
+  /// from inside a body run on the calling thread.
   virtual void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) = 0;
   /// True when the user asked to stop (SIGINT) or the time budget is spent; long loops check it and return early.
   virtual bool cancelled() const = 0;

@@ -25,10 +25,10 @@ struct EvaluationRequest {
 
 /// Results for n points. A point that cannot be evaluated has cost = +infinity (and anything in its other entries).
 struct Evaluation {
-  Vector costs;                    ///< [n]
-  Matrix gradients;                ///< [dim, n] when asked for
-  Matrix residuals;                ///< [r, n] when asked for
-  std::vector<Matrix> jacobians;   ///< [n] of [r, dim] when asked for
+  Vector costs;                   ///< [n]
+  Matrix gradients;               ///< [dim, n] when asked for
+  Matrix residuals;               ///< [r, n] when asked for
+  std::vector<Matrix> jacobians;  ///< [n] of [r, dim] when asked for
 };
 
 /// A batched function to be minimised: all instances of a search run through one predictor call.
@@ -45,12 +45,14 @@ class Objective {
 
 struct OptimiserOptions {
   Index max_iterations = 80;
-  Index max_evaluations = std::numeric_limits<Index>::max();  ///< per instance; points evaluated, with or without gradient
-  std::uint64_t seed = 0;  ///< for stochastic solvers
+  Index max_evaluations =
+      std::numeric_limits<Index>::max();  ///< per instance; points evaluated, with or without gradient
+  std::uint64_t seed = 0;                 ///< for stochastic solvers
 };
 
-/// One meaning each: converged: the solver's own stopping rule was met; budget_spent: max_iterations or max_evaluations;
-/// stopped: the observer said so; diverged: no finite cost was found; infeasible: the problem cannot be solved by this solver.
+/// One meaning each: converged: the solver's own stopping rule was met; budget_spent: max_iterations or
+/// max_evaluations; stopped: the observer said so; diverged: no finite cost was found; infeasible: the problem cannot
+/// be solved by this solver.
 enum class OptimiserStatus { converged, budget_spent, stopped, diverged, infeasible };
 WEFT_API const char* to_string(OptimiserStatus status);
 
@@ -64,9 +66,9 @@ struct OptimiserResult {
   Index evaluations = 0;
 };
 
-/// Called after every batch of evaluations (for most solvers that is an iteration) with the number of calls before this one
-/// and the best cost so far of every instance [instances] (+infinity before the first finite one); returning false stops
-/// the search there. Called on the thread that called minimise.
+/// Called after every batch of evaluations (for most solvers that is an iteration) with the number of calls before this
+/// one and the best cost so far of every instance [instances] (+infinity before the first finite one); returning false
+/// stops the search there. Called on the thread that called minimise.
 using OptimiserObserver = std::function<bool(Index iteration, const Vector& best_costs)>;
 
 struct OptimiserCapabilities {
@@ -89,8 +91,9 @@ class Optimiser {
   /// @param scale [dim], > 0: a typical change of each variable; step sizes are multiples of it.
   /// @return [instances]. A non-finite cost or gradient costs that instance, never the others.
   /// @throws ShapeError; Unsupported if the objective lacks what capabilities() needs; what the objective throws.
-  virtual std::vector<OptimiserResult> minimise(Objective& objective, ConstMatrix starts, const Box& bounds, ConstVec scale,
-                                                const OptimiserOptions& options, const OptimiserObserver& observer) const = 0;
+  virtual std::vector<OptimiserResult> minimise(Objective& objective, ConstMatrix starts, const Box& bounds,
+                                                ConstVec scale, const OptimiserOptions& options,
+                                                const OptimiserObserver& observer) const = 0;
 };
 
 /// What every solver demands of its input, checked before the first evaluation; `who` starts the messages.

@@ -72,8 +72,7 @@ WEFT_API std::vector<ParamInfo> describe_params_erased(void* params, ParamVisit 
 
 template <class Params>
 ConfigNode read_params(const ConfigNode& node, Params& params) {
-  return read_params_erased(node, &params,
-                            [](void* p, ParamVisitor& v) { static_cast<Params*>(p)->visit(v); });
+  return read_params_erased(node, &params, [](void* p, ParamVisitor& v) { static_cast<Params*>(p)->visit(v); });
 }
 template <class Params>
 std::vector<ParamInfo> describe_params() {

@@ -48,23 +48,23 @@ struct PlanRequest {
   Vector state;                               ///< [S]
   std::shared_ptr<const Positions> goal;      ///< [V, 3] m: s*
   MaterialKnowledge knowledge;
-  Controls warm_start;                        ///< the preceding plan minus what was executed; 0 rows: the default trajectory
-  Index round = 0;                            ///< which plan of the session; keys the noise
+  Controls warm_start;  ///< the preceding plan minus what was executed; 0 rows: the default trajectory
+  Index round = 0;      ///< which plan of the session; keys the noise
   std::uint64_t seed = 0;
 };
 
 struct Plan {
-  Controls controls;                  ///< [u, C], truncated after the release segment u
-  Index horizon = 0;                  ///< b it was searched with
-  bool releases = false;              ///< false: even after b segments progress is below 1
-  double loss = 0.0;                  ///< residual planning loss of the winner, mm^2
-  double predicted_error_mm = 0.0;    ///< mean vertex distance of the predicted final shape to the goal
-  Index instance = 0;                 ///< the winner
-  std::vector<double> losses;         ///< [instances], residual
+  Controls controls;                        ///< [u, C], truncated after the release segment u
+  Index horizon = 0;                        ///< b it was searched with
+  bool releases = false;                    ///< false: even after b segments progress is below 1
+  double loss = 0.0;                        ///< residual planning loss of the winner, mm^2
+  double predicted_error_mm = 0.0;          ///< mean vertex distance of the predicted final shape to the goal
+  Index instance = 0;                       ///< the winner
+  std::vector<double> losses;               ///< [instances], residual
   std::vector<std::vector<double>> curves;  ///< [iterations] of [instances]: best loss so far
   std::vector<ShapeDistribution> shapes;    ///< [u]: the winner's prediction after every segment
   Index iterations = 0;
-  Index evaluations = 0;              ///< points, over all instances
+  Index evaluations = 0;  ///< points, over all instances
   double seconds = 0.0;
 };
 
@@ -72,8 +72,8 @@ struct Plan {
 ///     sum_c ((m_{j+1,c} - m_{j,c}) / scale_c)^2  +  slowness_weight max(0, 1 - b (p_j - p_{j-1}))^2,
 /// p the trajectory's progress: the second term vanishes for a pace that reaches release within b segments.
 /// The paper names the loss's purpose and not its form; this form is ours.
-WEFT_API double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
-                              Controls* gradient);
+WEFT_API double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u,
+                              double slowness_weight, Controls* gradient);
 
 /// Trajectory planning (section 4). Uses the predictor for shapes and gradients, the optimiser for the search.
 class WEFT_API Planner {

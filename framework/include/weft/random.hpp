@@ -16,8 +16,8 @@ class WEFT_API RandomStream {
   std::uint64_t bits64();
   double uniform();  ///< [0, 1), 53 bits
   double uniform(double low, double high) { return low + (high - low) * uniform(); }
-  double normal();                         ///< mean 0, sd 1 (Box-Muller)
-  std::uint64_t below(std::uint64_t n);    ///< uniform in [0, n), n > 0, unbiased
+  double normal();                       ///< mean 0, sd 1 (Box-Muller)
+  std::uint64_t below(std::uint64_t n);  ///< uniform in [0, n), n > 0, unbiased
 
  private:
   std::uint64_t key_;

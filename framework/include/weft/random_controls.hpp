@@ -19,7 +19,8 @@ struct RandomControlsParams {
     v("pace_low", pace_low, range(0.05, 10), "Slowest mean pace, as a multiple of the default controls.");
     v("pace_high", pace_high, range(0.05, 10), "Fastest mean pace, as a multiple of the default controls.");
     v("drift", drift, range(0, 10), "Standard deviation of the constant part, in units of the control's scale.");
-    v("walk", walk, range(0, 10), "Standard deviation of the part that varies over segments, in units of the control's scale.");
+    v("walk", walk, range(0, 10),
+      "Standard deviation of the part that varies over segments, in units of the control's scale.");
     v("smoothness", smoothness, range(0, 0.999), "Correlation of the varying part from one segment to the next.");
   }
 };

@@ -16,9 +16,9 @@ struct PluginEntry {
   std::string refusal;  ///< empty: it loads
 };
 
-/// Finds plugins: `plugin_path` of the config, then WEFT_PLUGIN_PATH, then the build or install folder. The first library
-/// of a kind and name wins. Libraries stay loaded while an object of theirs, or this registry's own handle, lives.
-/// Thread-safe.
+/// Finds plugins: `plugin_path` of the config, then WEFT_PLUGIN_PATH, then the build or install folder. The first
+/// library of a kind and name wins. Libraries stay loaded while an object of theirs, or this registry's own handle,
+/// lives. Thread-safe.
 class WEFT_API PluginRegistry {
  public:
   explicit PluginRegistry(std::vector<std::filesystem::path> search_path = {});
@@ -27,12 +27,13 @@ class WEFT_API PluginRegistry {
 
   /// Everything on the search path, sorted by kind and name; refused libraries last.
   std::vector<PluginEntry> list() const;
-  /// The entry of a name ("arc" or "trajectory/arc") or of a library file. @throws PluginError naming the nearest one, both
-  /// sides of a refusal, and the remedy.
+  /// The entry of a name ("arc" or "trajectory/arc") or of a library file. @throws PluginError naming the nearest one,
+  /// both sides of a refusal, and the remedy.
   PluginEntry find(const std::string& name_or_file, const std::string& kind = "") const;
   std::vector<ParamInfo> params(const PluginEntry& entry) const;
 
-  /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default; nested slots too. Creates nothing.
+  /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default; nested slots too. Creates
+  /// nothing.
   /// @throws ConfigError, PluginError.
   ConfigNode resolve(const std::string& kind, const ConfigNode& slot) const;
   /// The object's deleter keeps the library loaded.

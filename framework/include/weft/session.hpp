@@ -11,8 +11,8 @@ namespace weft {
 
 /// What is seen of the cloth at the end of a segment.
 struct Observation {
-  Positions positions;                ///< [V, 3] m
-  std::vector<bool> observed;         ///< [V]; empty: all. Unobserved rows are filled from the last prediction
+  Positions positions;         ///< [V, 3] m
+  std::vector<bool> observed;  ///< [V]; empty: all. Unobserved rows are filled from the last prediction
   double time_s = 0.0;
 };
 
@@ -59,7 +59,8 @@ struct GoalParams {
     RandomControlsParams distribution;
     template <class Visitor>
     void visit(Visitor& v) {
-      v("min_distance_mm", min_distance_mm, range(0, 1000, "mm"), "Least mean distance from what the default control gives.");
+      v("min_distance_mm", min_distance_mm, range(0, 1000, "mm"),
+        "Least mean distance from what the default control gives.");
       v("attempts", attempts, range(1, 100000), "Random trajectories to try before giving up.");
       v.group("distribution", distribution, "The random trajectories.");
     }
@@ -102,11 +103,13 @@ struct SessionParams {
     v("optimiser", optimiser, PluginSlot{"optimiser"}, "Optimiser plugin.");
     v.group("planning", planning, "Trajectory planning (section 4).");
     v.group("goal", goal, "The shape to reach.");
-    v("true_material", true_material, range(0, 1), "q of the executed fold, [friction, bend, stretch, thickness]; default: drawn from the seed.");
+    v("true_material", true_material, range(0, 1),
+      "q of the executed fold, [friction, bend, stretch, thickness]; default: drawn from the seed.");
     v("knowledge", knowledge, choice({"none", "true", "given"}), "What the planner knows of the material.");
     v("given_centre", given_centre, range(0, 1), "knowledge: given: c, [4].");
     v("given_width", given_width, range(0, 1), "knowledge: given: w, [4].");
-    v("max_segments", max_segments, range(1, 1000, "segments"), "End the session here even when no plan reached release.");
+    v("max_segments", max_segments, range(1, 1000, "segments"),
+      "End the session here even when no plan reached release.");
   }
 };
 

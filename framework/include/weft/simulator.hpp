@@ -13,22 +13,22 @@ namespace weft {
 
 /// The world around the cloth. The same for every plugin.
 struct Scene {
-  Vec3 gravity{0.0, 0.0, -9.81};             ///< m/s^2
-  std::optional<double> ground_height = 0.0; ///< m; nullopt: no ground
-  std::vector<Index> pins;                   ///< vertices held where they are for the whole run
-  Vec3 initial_velocity = Vec3::Zero();      ///< m/s, of every vertex that is not pinned
+  Vec3 gravity{0.0, 0.0, -9.81};              ///< m/s^2
+  std::optional<double> ground_height = 0.0;  ///< m; nullopt: no ground
+  std::vector<Index> pins;                    ///< vertices held where they are for the whole run
+  Vec3 initial_velocity = Vec3::Zero();       ///< m/s, of every vertex that is not pinned
 };
 
 /// When the cloth counts as settled: the largest vertex speed stays below `speed` for `hold_frames` frames on end.
 struct SettleCriterion {
-  double speed = 0.005;     ///< m/s
+  double speed = 0.005;  ///< m/s
   Index hold_frames = 6;
   Index max_frames = 300;
 };
 struct SettleResult {
-  Index frames = 0;         ///< simulated
-  double max_speed = 0.0;   ///< m/s, at the end
-  bool settled = false;     ///< false: max_frames came first
+  Index frames = 0;        ///< simulated
+  double max_speed = 0.0;  ///< m/s, at the end
+  bool settled = false;    ///< false: max_frames came first
 };
 
 /// Measurements on the current state, for results and tests.
@@ -55,9 +55,9 @@ struct SimulatorCapabilities {
   bool gravity_any_direction = true;
 };
 
-/// One piece of cloth, simulated. Call order: reset, then any of the others. One object is used by one thread at a time;
-/// many objects run in parallel and do not affect one another: same calls, same bits.
-/// Non-finite state never leaves: step() and settle() throw Diverged naming the frame, and the object must be reset.
+/// One piece of cloth, simulated. Call order: reset, then any of the others. One object is used by one thread at a
+/// time; many objects run in parallel and do not affect one another: same calls, same bits. Non-finite state never
+/// leaves: step() and settle() throw Diverged naming the frame, and the object must be reset.
 class WEFT_API Simulator {
  public:
   static constexpr const char* kKind = "simulator";
@@ -75,7 +75,8 @@ class WEFT_API Simulator {
   /// @param positions, velocities [V, 3] m, m/s. @throws ShapeError, Error if not finite.
   virtual void set_state(const Positions& positions, const Positions& velocities, std::span<const Index> grasped) = 0;
 
-  /// Takes hold of more vertices; they stay where they are until the next step(). A held vertex follows its target exactly.
+  /// Takes hold of more vertices; they stay where they are until the next step(). A held vertex follows its target
+  /// exactly.
   /// @throws ShapeError for an index out of range, pinned, or already held.
   virtual void grasp(std::span<const Index> vertices) = 0;
   /// Held vertices, in the order in which step() takes their targets.

@@ -21,7 +21,8 @@ struct TaskParams {
       v("grasp", grasp, "The two named vertices that the hands hold: the paper's g_0.");
       v("displacement_m", displacement_m, range(-10, 10, "m"),
         "d, [x, y]: displacement of the grasp points' midpoint; `weft displacement` tunes its length.");
-      v("drop_height_m", drop_height_m, range(0, 1, "m"), "h: height of the grasp points above contact at 180 degrees.");
+      v("drop_height_m", drop_height_m, range(0, 1, "m"),
+        "h: height of the grasp points above contact at 180 degrees.");
     }
   } manipulation;
   struct World {
@@ -61,11 +62,12 @@ struct TaskParams {
 /// @throws ConfigError, PluginError.
 WEFT_API Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host);
 
-/// One fold under known material: runs the controls from the flat garment to release (or to the last segment) and settles.
+/// One fold under known material: runs the controls from the flat garment to release (or to the last segment) and
+/// settles.
 struct FoldResult {
-  std::vector<Positions> shapes;   ///< [segments + 1]: at the start and after every segment; the last one settled
-  Controls states;                 ///< [segments + 1, S]
-  Index segments = 0;              ///< executed
+  std::vector<Positions> shapes;  ///< [segments + 1]: at the start and after every segment; the last one settled
+  Controls states;                ///< [segments + 1, S]
+  Index segments = 0;             ///< executed
   bool released = false;
   SettleResult settle;
   double max_grasp_strain = 0.0;

@@ -9,12 +9,12 @@ namespace weft {
 
 /// One control or state variable of a trajectory.
 struct Variable {
-  std::string name;            ///< "dtheta"
-  std::string unit;            ///< "deg/frame"
-  double lower = 0.0;          ///< hard bounds; finite
+  std::string name;    ///< "dtheta"
+  std::string unit;    ///< "deg/frame"
+  double lower = 0.0;  ///< hard bounds; finite
   double upper = 0.0;
   double default_value = 0.0;  ///< controls: the planner's default trajectory (section 4); state: value at the start
-  double scale = 1.0;          ///< > 0: a typical change, in the variable's unit; noise and optimiser steps are multiples of it
+  double scale = 1.0;  ///< > 0: a typical change, in the variable's unit; noise and optimiser steps are multiples of it
 };
 
 /// Positions of the grasp points over one segment and the state after it.
@@ -51,10 +51,11 @@ class WEFT_API Trajectory {
   virtual void advance_pullback(const Manipulation& manipulation, ConstVec state, ConstVec control, ConstVec d_next,
                                 Vector& d_state, Vector& d_control) const = 0;
   /// @param d_targets [G, 3]: dL/d targets(...). @return dL/d state [S].
-  virtual Vector targets_pullback(const Manipulation& manipulation, ConstVec state, const Positions& d_targets) const = 0;
+  virtual Vector targets_pullback(const Manipulation& manipulation, ConstVec state,
+                                  const Positions& d_targets) const = 0;
 
-  /// Progress towards release: 0 at the start, >= 1 once the cloth is to be released at the end of the segment (eq. 5; for
-  /// the arc theta / 180 deg).
+  /// Progress towards release: 0 at the start, >= 1 once the cloth is to be released at the end of the segment (eq. 5;
+  /// for the arc theta / 180 deg).
   virtual double progress(ConstVec state) const = 0;
   bool released(ConstVec state) const { return progress(state) >= 1.0; }
 

@@ -25,10 +25,10 @@ PropertyVector halton(Index i) {
 /// One simulated case and sample.
 struct RolloutPredictor::Run {
   MaterialProperties material = MaterialProperties::Zero();
-  std::vector<Positions> shapes;  ///< [last requested segment]: after each segment
+  std::vector<Positions> shapes;                                    ///< [last requested segment]: after each segment
   std::vector<std::shared_ptr<const SimulatorSnapshot>> snapshots;  ///< at the start of each segment
-  std::vector<Vector> states;     ///< at the start of each segment
-  Index release = 0;              ///< 1-based segment at whose end the cloth is released; 0: never
+  std::vector<Vector> states;                                       ///< at the start of each segment
+  Index release = 0;  ///< 1-based segment at whose end the cloth is released; 0: never
 };
 
 class RolloutPredictor::Lease {
@@ -63,7 +63,8 @@ class RolloutPrediction final : public Prediction {
   using Run = RolloutPredictor::Run;
   using Lease = RolloutPredictor::Lease;
 
-  RolloutPrediction(const RolloutPredictor& owner, const std::vector<PredictionCase>& cases, const PredictionRequest& request)
+  RolloutPrediction(const RolloutPredictor& owner, const std::vector<PredictionCase>& cases,
+                    const PredictionRequest& request)
       : owner_(owner), cases_(cases), request_(request), samples_(static_cast<std::size_t>(owner.params_.samples)) {
     runs_.resize(cases_.size() * samples_);
     failures_.resize(cases_.size());
@@ -127,9 +128,9 @@ class RolloutPrediction final : public Prediction {
     std::vector<double> derivatives(jobs.size());
     owner_.host_.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
       const auto& job = jobs[static_cast<std::size_t>(j)];
-      derivatives[static_cast<std::size_t>(j)] = job.segment < 0
-                                                     ? knowledge_derivative(job.instance, job.control, cotangents[job.instance])
-                                                     : control_derivative(job.instance, job.segment, job.control, cotangents[job.instance]);
+      derivatives[static_cast<std::size_t>(j)] =
+          job.segment < 0 ? knowledge_derivative(job.instance, job.control, cotangents[job.instance])
+                          : control_derivative(job.instance, job.segment, job.control, cotangents[job.instance]);
     });
     for (std::size_t j = 0; j < jobs.size(); ++j) {
       auto& gradient = gradients[jobs[j].instance];
@@ -146,8 +147,8 @@ class RolloutPrediction final : public Prediction {
 
  private:
   /// Simulates from the start of `from` (0-based segment; its snapshot must be taken) to the last requested segment.
-  void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state, Index release,
-               std::vector<Positions>& shapes, Run* record) const {
+  void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state,
+               Index release, std::vector<Positions>& shapes, Run* record) const {
     const auto& task = owner_.task_;
     const auto& trajectory = *task.trajectory;
     const Index last = one.segments.empty() ? 0 : one.segments.back();
@@ -158,7 +159,8 @@ class RolloutPrediction final : public Prediction {
       }
       if (record) {
         record->states.push_back(state);
-        if (request_.gradients && request_.control_gradients && owner_.has_snapshots_) record->snapshots.push_back(simulator.save());
+        if (request_.gradients && request_.control_gradients && owner_.has_snapshots_)
+          record->snapshots.push_back(simulator.save());
       }
       const SegmentPath path = trajectory.segment(task.manipulation, state, controls.row(j).transpose());
       for (const auto& targets : path.targets) simulator.step(targets);
@@ -183,7 +185,8 @@ class RolloutPrediction final : public Prediction {
   }
 
   /// Mean and sigma over the samples, for every requested segment. Sigma adds the declared noise level.
-  std::vector<ShapeDistribution> moments(const PredictionCase& one, const std::vector<const std::vector<Positions>*>& sampled) const {
+  std::vector<ShapeDistribution> moments(const PredictionCase& one,
+                                         const std::vector<const std::vector<Positions>*>& sampled) const {
     std::vector<ShapeDistribution> result;
     const double n = static_cast<double>(sampled.size());
     for (const Index segment : one.segments) {
@@ -193,7 +196,8 @@ class RolloutPrediction final : public Prediction {
       for (std::size_t s = 1; s < sampled.size(); ++s) distribution.mean += (*sampled[s])[at];
       distribution.mean /= n;
       if (request_.moments == Moments::mean_and_sigma) {
-        Positions variance = Positions::Constant(distribution.mean.rows(), 3, owner_.params_.sigma_m * owner_.params_.sigma_m);
+        Positions variance =
+            Positions::Constant(distribution.mean.rows(), 3, owner_.params_.sigma_m * owner_.params_.sigma_m);
         for (const auto* shapes : sampled) variance.array() += ((*shapes)[at] - distribution.mean).array().square() / n;
         distribution.sigma = variance.cwiseSqrt();
       } else {
@@ -240,7 +244,8 @@ class RolloutPrediction final : public Prediction {
     return dot(moments(one, sampled), cotangents);
   }
 
-  double control_derivative(std::size_t i, Index segment, Index control, const std::vector<ShapeCotangent>& cotangents) const {
+  double control_derivative(std::size_t i, Index segment, Index control,
+                            const std::vector<ShapeCotangent>& cotangents) const {
     const auto variable = owner_.task_.trajectory->controls()[static_cast<std::size_t>(control)];
     double step = owner_.params_.step * variable.scale;
     // Step inwards where the control stands at its upper bound.
@@ -256,7 +261,8 @@ class RolloutPrediction final : public Prediction {
     }
   }
 
-  double perturbed_knowledge(std::size_t i, Index entry, double change, const std::vector<ShapeCotangent>& cotangents) const {
+  double perturbed_knowledge(std::size_t i, Index entry, double change,
+                             const std::vector<ShapeCotangent>& cotangents) const {
     const auto& one = cases_[i];
     MaterialKnowledge knowledge = one.knowledge;
     (entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4)) += change;
@@ -272,7 +278,8 @@ class RolloutPrediction final : public Prediction {
   }
 
   double knowledge_derivative(std::size_t i, Index entry, const std::vector<ShapeCotangent>& cotangents) const {
-    if (entry >= 4 && samples_ == 1) return 0.0;  // a single sample sits in the middle of the interval, whatever its width
+    if (entry >= 4 && samples_ == 1)
+      return 0.0;  // a single sample sits in the middle of the interval, whatever its width
     const auto& knowledge = cases_[i].knowledge;
     const double value = entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4);
     double step = owner_.params_.knowledge_step;
@@ -300,7 +307,9 @@ class RolloutPrediction final : public Prediction {
 
 RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
 
-PredictorCapabilities RolloutPredictor::capabilities() const { return {.gradients = true, .deterministic = true, .needs_binding = true}; }
+PredictorCapabilities RolloutPredictor::capabilities() const {
+  return {.gradients = true, .deterministic = true, .needs_binding = true};
+}
 
 void RolloutPredictor::bind(const Task& task) {
   task_ = task;
@@ -322,7 +331,8 @@ MaterialProperties RolloutPredictor::material(const MaterialKnowledge& knowledge
   return lower + halton(sample + 1).cwiseProduct(upper - lower);
 }
 
-void RolloutPredictor::start(Simulator& simulator, const PredictionCase& one, const MaterialProperties& material) const {
+void RolloutPredictor::start(Simulator& simulator, const PredictionCase& one,
+                             const MaterialProperties& material) const {
   simulator.reset(task_.garment, task_.material.at(material), task_.scene);
   Positions velocities = Positions::Zero(one.shape->rows(), 3);
   if (one.previous && params_.carry_velocity) {

@@ -22,7 +22,8 @@ struct Params {
   template <class Visitor>
   void visit(Visitor& v) {
     v("simulator", simulator, PluginSlot{"simulator"}, "Simulator used as the forward model; default: the task's.");
-    v("sigma_m", sigma_m, range(1e-6, 1, "m"), "Declared noise level: standard deviation that a prediction has at least.");
+    v("sigma_m", sigma_m, range(1e-6, 1, "m"),
+      "Declared noise level: standard deviation that a prediction has at least.");
     v("samples", samples, range(1, 1024),
       "Materials drawn from the knowledge interval; 1: the interval's middle only, sigma is the noise level.");
     v("step", step, range(1e-4, 10), "Finite-difference step of controls, in units of each control's scale.");
@@ -35,7 +36,8 @@ struct Params {
 /// The simulator itself as forward model. One simulation per case and material sample, in parallel; gradients by finite
 /// differences: the perturbed runs keep the material samples (common random numbers) and start from snapshots of the
 /// unperturbed run taken at the start of each segment, so only what a perturbation changes is simulated again.
-/// The release segment of a perturbed run is that of the unperturbed one, as in eq. 5, where u is fixed for the gradient.
+/// The release segment of a perturbed run is that of the unperturbed one, as in eq. 5, where u is fixed for the
+/// gradient.
 class RolloutPredictor final : public Predictor {
  public:
   RolloutPredictor(const Params& params, Host& host);

@@ -51,10 +51,13 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   if (!garment || garment->vertex_count() < 3 || garment->face_count() < 1)
     throw ConfigError("cloth: garment has no faces, must be a triangle mesh");
   const auto require = [](bool good, const char* what, double got, const char* wanted) {
-    if (!good) throw ConfigError(std::string("cloth: fabric.") + what + " = " + std::to_string(got) + ", must be " + wanted);
+    if (!good)
+      throw ConfigError(std::string("cloth: fabric.") + what + " = " + std::to_string(got) + ", must be " + wanted);
   };
   const auto positive = [&](const char* what, double v) { require(std::isfinite(v) && v > 0.0, what, v, "above 0"); };
-  const auto not_negative = [&](const char* what, double v) { require(std::isfinite(v) && v >= 0.0, what, v, "at least 0"); };
+  const auto not_negative = [&](const char* what, double v) {
+    require(std::isfinite(v) && v >= 0.0, what, v, "at least 0");
+  };
   positive("density_kg_per_m2", fabric.density_kg_per_m2);
   if (!fabric.tables) {
     positive("stretch_n_per_m.warp", fabric.stretch_warp_n_per_m);
@@ -64,8 +67,9 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
     not_negative("bend_n_m.weft", fabric.bend_weft_n_m);
     not_negative("bend_n_m.bias", fabric.bend_bias_n_m);
     const double nu = fabric.poisson;
-    require(std::isfinite(nu) && nu >= 0.0 && nu * nu * fabric.stretch_weft_n_per_m < 0.999 * fabric.stretch_warp_n_per_m,
-            "poisson", nu, "at least 0 and below sqrt(K_warp / K_weft)");
+    require(
+        std::isfinite(nu) && nu >= 0.0 && nu * nu * fabric.stretch_weft_n_per_m < 0.999 * fabric.stretch_warp_n_per_m,
+        "poisson", nu, "at least 0 and below sqrt(K_warp / K_weft)");
   } else {
     positive("stretch_multiplier", fabric.stretch_multiplier);
     not_negative("bend_multiplier", fabric.bend_multiplier);
@@ -79,14 +83,16 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   not_negative("damping.air_per_s", fabric.damping_air_per_s);
   if (!scene.gravity.allFinite()) throw ConfigError("cloth: scene.gravity is not finite");
   if (!scene.initial_velocity.allFinite()) throw ConfigError("cloth: scene.initial_velocity is not finite");
-  if (scene.ground_height && !std::isfinite(*scene.ground_height)) throw ConfigError("cloth: scene.ground_height is not finite");
+  if (scene.ground_height && !std::isfinite(*scene.ground_height))
+    throw ConfigError("cloth: scene.ground_height is not finite");
   const Index n = garment->vertex_count();
   for (const Index pin : scene.pins)
     if (pin < 0 || pin >= n)
-      throw ConfigError("cloth: scene.pins holds " + std::to_string(pin) + ", must be in [0, " + std::to_string(n - 1) + "]");
+      throw ConfigError("cloth: scene.pins holds " + std::to_string(pin) + ", must be in [0, " + std::to_string(n - 1) +
+                        "]");
   if (params_.max_substeps < params_.min_substeps)
-    throw ConfigError("cloth: max_substeps = " + std::to_string(params_.max_substeps) + ", must be at least min_substeps = " +
-                      std::to_string(params_.min_substeps));
+    throw ConfigError("cloth: max_substeps = " + std::to_string(params_.max_substeps) +
+                      ", must be at least min_substeps = " + std::to_string(params_.min_substeps));
 
   garment_ = std::move(garment);
   fabric_ = fabric;
@@ -101,10 +107,12 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   spectrum_ = largest_frequencies(*elements_, masses_);
   longest_step_ = stable_step(spectrum_, fabric_.damping_stretch_s, fabric_.damping_bend_s, params_.step_safety);
   if (params_.self_contact) longest_step_ = std::min(longest_step_, contact_->longest_step(scene_.gravity.norm()));
-  floor_ = scene_.ground_height ? *scene_.ground_height + fabric_.thickness_m : -std::numeric_limits<double>::infinity();
+  floor_ =
+      scene_.ground_height ? *scene_.ground_height + fabric_.thickness_m : -std::numeric_limits<double>::infinity();
   const double frame_substeps = kFrameSeconds / longest_step_;
   if (frame_substeps > static_cast<double>(params_.max_substeps))
-    throw ConfigError("cloth: this mesh and fabric need " + std::to_string(static_cast<long>(std::ceil(frame_substeps))) +
+    throw ConfigError("cloth: this mesh and fabric need " +
+                      std::to_string(static_cast<long>(std::ceil(frame_substeps))) +
                       " substeps per frame, must be at most max_substeps = " + std::to_string(params_.max_substeps) +
                       " (coarser mesh, softer fabric, or less stiffness-proportional damping)");
 
@@ -119,7 +127,9 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
     const bool pinned = pinned_[i] != 0;
     const double z = garment_->positions(i, 2);
     state_.x[i] = {garment_->positions(i, 0), garment_->positions(i, 1), pinned ? z : std::max(z, floor_), 0.0};
-    state_.v[i] = pinned ? Double4{} : Double4{scene_.initial_velocity.x(), scene_.initial_velocity.y(), scene_.initial_velocity.z(), 0.0};
+    state_.v[i] =
+        pinned ? Double4{}
+               : Double4{scene_.initial_velocity.x(), scene_.initial_velocity.y(), scene_.initial_velocity.z(), 0.0};
     state_.inverse_mass[i] = pinned ? 0.0f : static_cast<float>(1.0 / masses_[i]);
   }
   contact_->clear(state_.contact);
@@ -138,7 +148,9 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
 
 void Cloth::require_ready(const char* call) const {
   if (!garment_) throw Error(std::string("cloth: ") + call + "() before reset()");
-  if (state_.lost) throw Error(std::string("cloth: ") + call + "() after divergence in frame " + std::to_string(state_.frame) + ", must be reset");
+  if (state_.lost)
+    throw Error(std::string("cloth: ") + call + "() after divergence in frame " + std::to_string(state_.frame) +
+                ", must be reset");
 }
 
 std::int32_t Cloth::checked_vertex(Index vertex, const char* call) const {
@@ -201,7 +213,8 @@ void Cloth::set_state(const Positions& positions, const Positions& velocities, s
   const Index n = garment_->vertex_count();
   require_shape("cloth: set_state: rows of positions", positions.rows(), n);
   require_shape("cloth: set_state: rows of velocities", velocities.rows(), n);
-  if (!positions.allFinite() || !velocities.allFinite()) throw Error("cloth: set_state: positions or velocities are not finite");
+  if (!positions.allFinite() || !velocities.allFinite())
+    throw Error("cloth: set_state: positions or velocities are not finite");
   for (std::size_t k = 0; k < grasped.size(); ++k) {
     checked_vertex(grasped[k], "set_state");
     if (std::find(grasped.begin(), grasped.begin() + k, grasped[k]) != grasped.begin() + k)
@@ -244,7 +257,8 @@ void Cloth::publish() {
 
 void Cloth::step(const Positions& grasp_targets) {
   require_ready("step");
-  require_shape("cloth: step: rows of grasp_targets", grasp_targets.rows(), static_cast<std::ptrdiff_t>(state_.held.size()));
+  require_shape("cloth: step: rows of grasp_targets", grasp_targets.rows(),
+                static_cast<std::ptrdiff_t>(state_.held.size()));
   if (!grasp_targets.allFinite()) throw Error("cloth: step: grasp_targets are not finite");
   target_.resize(state_.held.size());
   for (std::size_t k = 0; k < state_.held.size(); ++k) {
@@ -294,10 +308,12 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
   double done = 0.0;
   last_substeps_ = 0;
   while (done < kFrameSeconds) {
-    // Tangent of St. Venant-Kirchhoff in tension: dP/dlambda = K (3 lambda^2 - 1)/2; step_safety covers the first tenth.
+    // Tangent of St. Venant-Kirchhoff in tension: dP/dlambda = K (3 lambda^2 - 1)/2; step_safety covers the first
+    // tenth.
     const double stiffening = std::max(1.0, (1.5 * state_.stiffening - 0.5) / 1.15);
     const double rest = kFrameSeconds - done;
-    const double limit = std::min(longest_step_ / std::sqrt(stiffening), kFrameSeconds / static_cast<double>(params_.min_substeps));
+    const double limit =
+        std::min(longest_step_ / std::sqrt(stiffening), kFrameSeconds / static_cast<double>(params_.min_substeps));
     const double wanted = std::ceil(rest / limit - 1e-6);
     if (!(wanted <= static_cast<double>(params_.max_substeps)))
       diverged("it needs more than max_substeps = " + std::to_string(params_.max_substeps) + " substeps per frame");
@@ -317,7 +333,8 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
     if (!std::isfinite(sum)) diverged("speeds are not finite");
     if (params_.self_contact) {
       SelfContact::State& contact = state_.contact;
-      contact_->prepare(contact, state_.x.data(), state_.x_fixed.data(), elements_->unit(), speed_.data(), reach_.data(), kFrameSeconds);
+      contact_->prepare(contact, state_.x.data(), state_.x_fixed.data(), elements_->unit(), speed_.data(),
+                        reach_.data(), kFrameSeconds);
       for (std::int32_t i = 0; i < n; ++i) bound_[i] = contact.path[i] + reach_[i];
       contact_->activate(contact, state_.x_fixed.data(), elements_->unit(), bound_.data(), state_.inverse_mass.data(),
                          static_cast<float>(dt), block_seconds);
@@ -345,7 +362,8 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
 }
 
 /// One symplectic step. @return above zero when a vertex has moved beyond its bound: the block must end.
-double Cloth::substep(double dt, double drag, const float* bound, const Double4* start, const Double4* targets, double part) {
+double Cloth::substep(double dt, double drag, const float* bound, const Double4* start, const Double4* targets,
+                      double part) {
   const auto n = static_cast<std::int32_t>(state_.x.size());
   std::fill(forces_.begin(), forces_.end(), Float4{});
   state_.stiffening = elements_->add_forces(state_.x_fixed.data(), state_.v_float.data(), forces_.data());
@@ -353,7 +371,8 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     contact_->add_forces(state_.contact, state_.x_fixed.data(), state_.v_float.data(), elements_->unit(),
                          static_cast<float>(dt), forces_.data());
 
-  const __m256d gravity = _mm256_setr_pd(dt * scene_.gravity.x(), dt * scene_.gravity.y(), dt * scene_.gravity.z(), 0.0);
+  const __m256d gravity =
+      _mm256_setr_pd(dt * scene_.gravity.x(), dt * scene_.gravity.y(), dt * scene_.gravity.z(), 0.0);
   const __m256d keep = _mm256_set1_pd(1.0 / (1.0 + dt * drag));
   for (std::int32_t i = 0; i < n; ++i) {
     const float w = state_.inverse_mass[i];
@@ -402,7 +421,8 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
   for (std::size_t k = 0; k < state_.held.size(); ++k) {
     const std::int32_t i = state_.held[k];
     const Double4 &s = start[k], &t = targets[k];
-    state_.x[i] = part >= 1.0 ? t : Double4{s.x + part * (t.x - s.x), s.y + part * (t.y - s.y), s.z + part * (t.z - s.z), 0.0};
+    state_.x[i] =
+        part >= 1.0 ? t : Double4{s.x + part * (t.x - s.x), s.y + part * (t.y - s.y), s.z + part * (t.z - s.z), 0.0};
     state_.x_fixed[i] = to_fixed(load(state_.x[i]), per_unit);
   }
   return params_.self_contact ? excess : 0.0;
@@ -411,8 +431,8 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
 void Cloth::update_grasp_strain() {
   for (const std::int32_t vertex : state_.held)
     for (std::int32_t k = topology_->face_of_vertex_start[vertex]; k < topology_->face_of_vertex_start[vertex + 1]; ++k)
-      state_.max_grasp_strain = std::max(state_.max_grasp_strain,
-                                         elements_->principal_strain(state_.x.data(), topology_->face_of_vertex[k]));
+      state_.max_grasp_strain =
+          std::max(state_.max_grasp_strain, elements_->principal_strain(state_.x.data(), topology_->face_of_vertex[k]));
 }
 
 double Cloth::max_speed() const {
@@ -430,8 +450,8 @@ SimulatorDiagnostics Cloth::diagnostics() const {
   d.max_grasp_strain = state_.max_grasp_strain;
   d.contacts = static_cast<Index>(state_.contact.touching);
   if (d.max_grasp_strain > params_.grasp_strain_warning)
-    d.warning = "a grasp stretched the cloth by " + std::to_string(100.0 * d.max_grasp_strain) + " %, more than grasp_strain_warning = " +
-                std::to_string(100.0 * params_.grasp_strain_warning) + " %";
+    d.warning = "a grasp stretched the cloth by " + std::to_string(100.0 * d.max_grasp_strain) +
+                " %, more than grasp_strain_warning = " + std::to_string(100.0 * params_.grasp_strain_warning) + " %";
   return d;
 }
 

@@ -14,8 +14,8 @@ namespace weft::cloth {
 
 /// Cloth as a continuum (elements.hpp), integrated by many small explicit steps per frame:
 ///     v += dt (f(x, v) / m + g),   v /= 1 + dt drag,   contact,   x += dt v.
-/// What is at rest satisfies the static equations exactly, whatever the step: no iteration or step changes a stiffness or
-/// a friction threshold. Forces are in float from exact fixed-point differences; state is in double.
+/// What is at rest satisfies the static equations exactly, whatever the step: no iteration or step changes a stiffness
+/// or a friction threshold. Forces are in float from exact fixed-point differences; state is in double.
 class Cloth final : public Simulator {
  public:
   explicit Cloth(const Params& params) : params_(params) {}
@@ -42,16 +42,16 @@ class Cloth final : public Simulator {
  private:
   /// Everything that changes; a snapshot is a copy of it.
   struct State {
-    std::vector<Double4> x, v;             ///< m, m/s
-    std::vector<Float4> v_float;           ///< v, as the forces read it
-    std::vector<Fixed4> x_fixed;           ///< x, as the forces read it
-    std::vector<float> inverse_mass;       ///< 1/kg, zero for held and pinned vertices
-    std::vector<std::int32_t> held;        ///< in step()'s order
+    std::vector<Double4> x, v;        ///< m, m/s
+    std::vector<Float4> v_float;      ///< v, as the forces read it
+    std::vector<Fixed4> x_fixed;      ///< x, as the forces read it
+    std::vector<float> inverse_mass;  ///< 1/kg, zero for held and pinned vertices
+    std::vector<std::int32_t> held;   ///< in step()'s order
     SelfContact::State contact;
-    float stiffening = 1.0f;               ///< largest squared stretch in the last substep
+    float stiffening = 1.0f;  ///< largest squared stretch in the last substep
     double max_grasp_strain = 0.0;
     Index frame = 0;
-    bool lost = false;                     ///< diverged: nothing but reset() is allowed
+    bool lost = false;  ///< diverged: nothing but reset() is allowed
   };
   struct Snapshot;
 
@@ -72,11 +72,11 @@ class Cloth final : public Simulator {
   std::unique_ptr<Topology> topology_;
   std::unique_ptr<Elements> elements_;
   std::unique_ptr<SelfContact> contact_;
-  std::vector<double> masses_;            ///< kg, lumped: a third of the faces around
+  std::vector<double> masses_;  ///< kg, lumped: a third of the faces around
   std::vector<std::uint8_t> pinned_;
   Spectrum spectrum_;
-  double longest_step_ = 0.0;             ///< s, at rest
-  double floor_ = 0.0;                    ///< m, lowest z of a mid-surface; -inf: no ground
+  double longest_step_ = 0.0;  ///< s, at rest
+  double floor_ = 0.0;         ///< m, lowest z of a mid-surface; -inf: no ground
 
   State state_;
   Positions positions_, velocities_;

@@ -175,7 +175,7 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
   const F8 damp_bend = splat(static_cast<float>(fabric_.damping_bend_s)) * per_unit;
   F8 largest = one;
   for (const ElementBlock& block : blocks_) {
-    const auto row = [](const float (&values)[8]) { return _mm256_load_ps(values); };
+    const auto row = [](const float(&values)[8]) { return _mm256_load_ps(values); };
     const Fixed8 origin = load8(x, block.node[0]);
     Vec8 d[5];
     for (int k = 0; k < 5; ++k) d[k] = difference(load8(x, block.node[k + 1]), origin);

@@ -42,9 +42,9 @@ struct alignas(32) ElementBlock {
 /// Membrane: Green strain E = (F^T F - 1)/2 of the linear triangle, St. Venant-Kirchhoff, moduli above.
 /// Bending: a quadratic through the triangle's corners and the three vertices across its edges, in rest coordinates,
 /// gives constant second derivatives x_uu, x_vv, x_uv (vectors). Where the sheet does not stretch, |x_uu| is the normal
-/// curvature along u, so the plate energy is a quadratic form of positions with constant weights: no normals, no angles,
-/// exact for every quadratic shape on every mesh. At a free edge the missing vertex is put where it costs least energy
-/// (static condensation), which is the natural boundary condition: no bending moment across the edge.
+/// curvature along u, so the plate energy is a quadratic form of positions with constant weights: no normals, no
+/// angles, exact for every quadratic shape on every mesh. At a free edge the missing vertex is put where it costs least
+/// energy (static condensation), which is the natural boundary condition: no bending moment across the edge.
 class Elements {
  public:
   Elements(const Topology& topology, const Fabric& fabric);

@@ -16,7 +16,8 @@ struct Params {
     v("min_substeps", min_substeps, range(1, 4000),
       "Fewest substeps per 1/60 s frame; the stability bound of mesh and fabric may ask for more.");
     v("max_substeps", max_substeps, range(1, 20000),
-      "Most substeps per frame; a fabric that needs more at `step_safety` ends as diverged instead of running forever.");
+      "Most substeps per frame; a fabric that needs more at `step_safety` ends as diverged instead of running "
+      "forever.");
     v("step_safety", step_safety, range(0.1, 0.95), "Substep as a part of the explicit stability limit.");
     v("settle_damping_per_s", settle_damping_per_s, range(0.0, 100.0, "1/s"),
       "Air drag added during settle() only, so that a dropped sheet comes to rest in about a second.");

@@ -26,7 +26,9 @@ inline Vec8 operator+(const Vec8& a, const Vec8& b) { return {a.x + b.x, a.y + b
 inline Vec8 operator-(const Vec8& a, const Vec8& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
 inline Vec8 operator*(F8 s, const Vec8& a) { return {s * a.x, s * a.y, s * a.z}; }
 inline Vec8 fma(F8 s, const Vec8& a, const Vec8& b) { return {fma(s, a.x, b.x), fma(s, a.y, b.y), fma(s, a.z, b.z)}; }
-inline Vec8 fnma(F8 s, const Vec8& a, const Vec8& b) { return {fnma(s, a.x, b.x), fnma(s, a.y, b.y), fnma(s, a.z, b.z)}; }
+inline Vec8 fnma(F8 s, const Vec8& a, const Vec8& b) {
+  return {fnma(s, a.x, b.x), fnma(s, a.y, b.y), fnma(s, a.z, b.z)};
+}
 inline F8 dot(const Vec8& a, const Vec8& b) { return fma(a.z, b.z, fma(a.y, b.y, a.x * b.x)); }
 inline Vec8 select(F8 mask, const Vec8& yes, const Vec8& no) {
   return {select(mask, yes.x, no.x), select(mask, yes.y, no.y), select(mask, yes.z, no.z)};

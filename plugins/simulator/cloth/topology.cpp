@@ -40,9 +40,8 @@ Topology::Topology(const Garment& garment) {
     max_edge = std::max(max_edge, longest);
     min_height = std::min(min_height, 2.0 * area[f] / longest);
   }
-  std::sort(halves.begin(), halves.end(), [](const Half& x, const Half& y) {
-    return std::tie(x.a, x.b, x.face) < std::tie(y.a, y.b, y.face);
-  });
+  std::sort(halves.begin(), halves.end(),
+            [](const Half& x, const Half& y) { return std::tie(x.a, x.b, x.face) < std::tie(y.a, y.b, y.face); });
   for (std::size_t k = 0; k < halves.size();) {
     edges.push_back({halves[k].a, halves[k].b});
     if (k + 1 < halves.size() && halves[k + 1].a == halves[k].a && halves[k + 1].b == halves[k].b) {
