@@ -32,7 +32,7 @@ struct Evaluation {
 };
 
 /// A batched function to be minimised: all instances of a search run through one predictor call.
-class Objective {
+class WEFT_API Objective {
  public:
   virtual ~Objective() = default;
   virtual Index dim() const = 0;
@@ -80,7 +80,7 @@ struct OptimiserCapabilities {
 };
 
 /// Minimises several instances of one objective at the same time. Stateless: minimise() may run on many threads.
-class Optimiser {
+class WEFT_API Optimiser {
  public:
   static constexpr const char* kKind = "optimiser";
   static constexpr int kVersion = 1;  // bump on any change to this class or the types above
