@@ -10,7 +10,7 @@ namespace weft::cloth {
 namespace {
 
 // Substeps in a block: between two choices of step size and of contact pairs.
-constexpr Index kBlock = 8;
+constexpr Index kBlock = 4;
 // Allowance for what a vertex may gain in speed within a block, m/s^2; a faster one ends its block early.
 constexpr float kGain = 3.0f;
 // A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
@@ -135,7 +135,6 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   contact_->clear(state_.contact);
   forces_.assign(n, Float4{});
   reach_.assign(n, 0.0f);
-  speed_.assign(n, 0.0f);
   bound_.assign(n, 0.0f);
   start_.reserve(64);
   target_.reserve(64);
@@ -327,14 +326,12 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
       const Float4& v = state_.v_float[i];
       const float square = v.x * v.x + v.y * v.y + v.z * v.z;
       sum += square;
-      speed_[i] = std::sqrt(square);
-      reach_[i] = block_seconds * (1.25f * speed_[i] + kGain * block_seconds) + 1e-6f;
+      reach_[i] = block_seconds * (1.25f * std::sqrt(square) + kGain * block_seconds) + 1e-6f;
     }
     if (!std::isfinite(sum)) diverged("speeds are not finite");
     if (params_.self_contact) {
       SelfContact::State& contact = state_.contact;
-      contact_->prepare(contact, state_.x.data(), state_.x_fixed.data(), elements_->unit(), speed_.data(),
-                        reach_.data(), kFrameSeconds);
+      contact_->prepare(contact, state_.x.data(), state_.v.data(), state_.x_fixed.data(), elements_->unit(), block_seconds);
       for (std::int32_t i = 0; i < n; ++i) bound_[i] = contact.path[i] + reach_[i];
       contact_->activate(contact, state_.x_fixed.data(), elements_->unit(), bound_.data(), state_.inverse_mass.data(),
                          static_cast<float>(dt), block_seconds);
@@ -390,7 +387,10 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
   const double mu = fabric_.friction;
   const __m256d step = _mm256_set1_pd(dt), per_unit = _mm256_set1_pd(1.0 / elements_->unit());
   const float dt_float = static_cast<float>(dt);
-  float excess = 0.0f;
+  float excess = 0.0f, strayed = 0.0f;
+  SelfContact::State& contact = state_.contact;
+  contact.elapsed += dt;
+  const __m256d elapsed = _mm256_set1_pd(contact.elapsed);
   for (std::int32_t i = 0; i < n; ++i) {
     Double4 &x = state_.x[i], &v = state_.v[i];
     if (state_.inverse_mass[i] != 0.0f) {
@@ -414,9 +414,12 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     const __m128 vf = _mm256_cvtpd_ps(load(v));
     _mm_store_ps(&state_.v_float[i].x, vf);
     state_.x_fixed[i] = to_fixed(load(x), per_unit);
-    float& path = state_.contact.path[i];
+    float& path = contact.path[i];
     path += dt_float * _mm_cvtss_f32(_mm_sqrt_ss(_mm_dp_ps(vf, vf, 0x71)));
     excess = std::max(excess, path - bound[i]);
+    const __m256d straight = _mm256_fmadd_pd(load(contact.drift[i]), elapsed, load(contact.start[i]));
+    const __m128 off = _mm256_cvtpd_ps(_mm256_sub_pd(load(x), straight));
+    strayed = std::max(strayed, _mm_cvtss_f32(_mm_dp_ps(off, off, 0x71)));
   }
   for (std::size_t k = 0; k < state_.held.size(); ++k) {
     const std::int32_t i = state_.held[k];
@@ -425,7 +428,13 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
         part >= 1.0 ? t : Double4{s.x + part * (t.x - s.x), s.y + part * (t.y - s.y), s.z + part * (t.z - s.z), 0.0};
     state_.x_fixed[i] = to_fixed(load(state_.x[i]), per_unit);
   }
-  return params_.self_contact ? excess : 0.0;
+  if (!params_.self_contact) return 0.0;
+  const double slack = contact_->slack();
+  if (strayed > slack * slack) {
+    contact.valid = false;
+    return 1.0;
+  }
+  return excess;
 }
 
 void Cloth::update_grasp_strain() {

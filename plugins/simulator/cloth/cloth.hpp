@@ -83,7 +83,7 @@ class Cloth final : public Simulator {
   Index last_substeps_ = 0;
   // Scratch of the frame loop.
   std::vector<Float4> forces_;
-  std::vector<float> reach_, speed_, bound_;
+  std::vector<float> reach_, bound_;
   std::vector<Double4> start_, target_;
 };
 

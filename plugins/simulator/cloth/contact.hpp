@@ -12,7 +12,8 @@ namespace weft::cloth {
 /// Contact of the cloth with itself: vertex-triangle and edge-edge pairs.
 ///
 /// Three levels, each reused as long as motion allows. All bounds are path lengths, not speeds:
-///   candidates  pairs that can come within thickness before some vertex has moved further than its slack
+///   candidates  pairs that can come within thickness while every vertex keeps near the straight path that it was on when
+///               they were found: neighbours that move together do not count
 ///   due         a candidate is measured again only when its vertices may have moved as far as its last free gap
 ///   active      pairs within reach in the present block of substeps: normal and weights are kept for the block, the gap
 ///               is evaluated in every substep
@@ -25,6 +26,7 @@ class SelfContact {
  public:
   struct Candidate {
     std::int32_t v[4];  ///< vertex, triangle | edge, edge
+    std::int32_t face;  ///< of the triangle, or -1
     float due;          ///< measure when the sum of the four path bounds reaches this, m
     float distance;     ///< m, contact distance of this pair
     float present;      ///< m, <= distance: what is left of it after an overload, see activate()
@@ -50,16 +52,17 @@ class SelfContact {
     std::vector<Active> active;
     std::vector<std::int32_t> fast;  ///< active pairs that may come closer than half their distance in this block
     std::vector<float> path;   ///< [V] m moved since the candidates were found
-    std::vector<float> slack;  ///< [V] m the candidates allow
+    // The candidates are good while every vertex is within `slack` of start + drift * elapsed, and elapsed <= horizon.
+    std::vector<Double4> start, drift;  ///< [V] m, m/s: state when they were found
+    double elapsed = 0.0, horizon = 0.0;  ///< s
     std::int64_t touching = 0;        ///< active pairs with force in the last substep
   };
 
   SelfContact(const Topology& topology, const Fabric& fabric);
 
-  /// Makes sure that the candidates are good for a further motion of `reach` [V] m, else finds them anew.
-  /// @param speed [V] m/s now. @param memory scratch. Afterwards state.path counts from the last search.
-  void prepare(State& state, const Double4* x, const Fixed4* fixed, double unit, const float* speed, const float* reach,
-               double frame_seconds) const;
+  /// Makes sure that the candidates are good for the next block, else finds them anew. Then state.path is zero.
+  void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit, double block_seconds) const;
+  double slack() const { return slack_; }  ///< m, see State
   /// Chooses the pairs that can touch until the paths reach `bound` [V] m (state.path plus the reach), and their stiffness
   /// for substeps dt (s) in a block of `block_seconds`.
   void activate(State& state, const Fixed4* fixed, double unit, const float* bound, const float* inverse_mass, float dt,
@@ -78,15 +81,50 @@ class SelfContact {
   void clear(State& state) const;
 
  private:
-  void find_candidates(State& state, const Double4* x, const Fixed4* fixed, double unit, const float* speed,
-                       double frame_seconds) const;
+  /// Boxes of eight primitives, lane by lane; empty lanes are inverted.
+  struct alignas(32) BoxBlock {
+    float low[3][8], high[3][8];
+    std::int32_t id[8];
+  };
+  /// A patch of at most eight neighbouring faces, with the vertices and edges that it owns (each belongs to one patch).
+  struct Patch {
+    std::int32_t faces[2], vertices[2], edges[2];  ///< [begin, end) in blocks
+  };
+  /// Tree of boxes over the patches, split in rest space. Children come after their parent.
+  struct Node {
+    float low[3], high[3];
+    float axis[3];        ///< mean normal of the faces
+    float angle;          ///< rad, largest angle between it and a face's normal; above pi: no cone
+    std::int32_t left, right;  ///< children, or -1
+    std::int32_t patch;   ///< of a leaf
+    /// The rest shape is one piece, nearly convex: while its normals stay within a cone below 90 degrees it projects one to
+    /// one along the axis, and no two of its parts can touch [Volino and Magnenat-Thalmann 1994].
+    bool convex;
+  };
+  /// Room for find_candidates() and activate(), kept so that the frame loop does not allocate.
+  struct Scratch {
+    std::vector<BoxBlock> faces, vertices, edges;
+    std::vector<Node> nodes;
+    std::vector<Float4> sums;  ///< [nodes] area-weighted normals
+    std::vector<Candidate> old, pending_faces, pending_edges;
+    std::vector<std::int32_t> table;
+    std::vector<Float4> position, later;  ///< relative to the lowest corner: now and at the horizon
+    std::vector<Float4> drift;            ///< m/s
+    std::vector<float> load;
+  };
+  void make_patches();
+  bool nearly_convex(const std::vector<std::int32_t>& faces) const;
+  void find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit) const;
+  bool elsewhere(const Candidate& pair, const float (&weight)[4], const Fixed4* fixed) const;
   float pair_distance(const std::int32_t (&v)[4], bool edges) const;
 
   const Topology* topology_;
   float thickness_ = 0.0f;
   float edge_thickness_ = 0.0f;
   float friction_ = 0.0f;
-  float least_slack_ = 0.0f;
+  float slack_ = 0.0f;
+  std::vector<Patch> patches_;
+  mutable Scratch scratch_;
 };
 
 }  // namespace weft::cloth

@@ -5,6 +5,12 @@
 #include <cmath>
 
 namespace weft::cloth {
+namespace {
+
+// Of a free edge: least overlap of the ghost's curvature with the one that the natural condition sets.
+constexpr double kSeesNatural = 0.5;
+
+}  // namespace
 
 MembraneModuli membrane_moduli(const Fabric& fabric) {
   const double warp = fabric.stretch_warp_n_per_m, weft = fabric.stretch_weft_n_per_m;
@@ -142,13 +148,32 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
   Eigen::Matrix<double, 3, 6> second;
   for (int row = 0; row < 3; ++row)
     for (int k = 0; k < 6; ++k) second(row, k) = patch.second[row][k];
+  // Free edges: the ghost's place follows from the natural condition, no moment across the edge:
+  // m^T d kappa = 0 with m = (n_u^2, n_v^2, n_u n_v). kappa = P second x with P = 1 - G (M^T d G)^-1 M^T d, G the ghosts'
+  // columns, M their m. Energy P^T d P. Where G is nearly blind to M (bad corners) the ghost goes where energy is least.
+  Eigen::Matrix<double, 3, Eigen::Dynamic, 0, 3, 3> ghosts(3, 0), normals(3, 0);
   for (int k = 0; k < 3; ++k) {
     if (!patch.ghost[k]) continue;
-    const Eigen::Vector3d g = second.col(3 + k);
-    const Eigen::Vector3d dg = d * g;
-    const double gdg = g.dot(dg);
-    if (gdg > 1e-12 * d.trace() * g.squaredNorm()) d -= dg * dg.transpose() / gdg;  // Schur complement of the ghost
+    const auto &p = topology_->rest[patch.node[(k + 1) % 3]], &q = topology_->rest[patch.node[(k + 2) % 3]];
+    const double nu = q[1] - p[1], nv = p[0] - q[0], size2 = nu * nu + nv * nv;
+    const Eigen::Vector3d across(nu * nu / size2, nv * nv / size2, nu * nv / size2);
+    ghosts.conservativeResize(3, ghosts.cols() + 1);
+    normals.conservativeResize(3, normals.cols() + 1);
+    ghosts.col(ghosts.cols() - 1) = second.col(3 + k).normalized();
+    normals.col(normals.cols() - 1) = across.normalized();
     second.col(3 + k).setZero();
+  }
+  if (ghosts.cols() == 3) {
+    d.setZero();
+  } else if (ghosts.cols() > 0) {
+    const Eigen::MatrixXd mixed = normals.transpose() * d * ghosts, own = ghosts.transpose() * d * ghosts;
+    const bool sees = std::abs(mixed.determinant()) > kSeesNatural * std::abs(own.determinant()) && own.determinant() > 0.0;
+    if (sees) {
+      const Eigen::Matrix3d project = Eigen::Matrix3d::Identity() - ghosts * mixed.inverse() * normals.transpose() * d;
+      d = (project.transpose() * d * project).eval();
+    } else if (own.determinant() > 1e-12 * std::pow(d.trace(), static_cast<double>(ghosts.cols()))) {
+      d -= (d * ghosts * own.inverse() * ghosts.transpose() * d).eval();
+    }
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(d);
   const double root_unit = std::sqrt(unit_);
