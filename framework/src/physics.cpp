@@ -477,15 +477,16 @@ void add_incline(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
   }
 }
 
-/// Height of a heavy folded strip's loop over its lower layer's mid-surface. The strip starts as two layers and a half
-/// circle, without friction, so that nothing keeps it from the loop of least energy.
+/// Height of a heavy folded strip's loop over its lower layer's mid-surface. At both ends of the loop the layers touch down
+/// without curvature; the loop pushes the layers apart, so they must stick (friction 1, layers long enough), and it finds
+/// its length by rolling on and off them. The strip starts as two layers and a lower, tighter half circle.
 double crease(Simulator& simulator, double edge, double bend, Pattern pattern, const PhysicsParams& p) {
   Fabric fabric = test_fabric(p);
   set_bend(fabric, bend);
-  fabric.friction = fabric.self_friction = 0.0;
+  fabric.friction = fabric.self_friction = 1.0;
   fabric.thickness_m = 0.0005;
   const double l = std::cbrt(bend / (p.density_kg_per_m2 * kGravity));
-  const double layer = std::max(5.0 * l, 6.0 * edge), radius = 0.45 * l, arc = std::numbers::pi * radius;
+  const double layer = std::max(6.0 * l, 6.0 * edge), radius = 0.35 * l, arc = std::numbers::pi * radius;
   const double cells = std::round((2.0 * layer + arc) / edge);
   Sheet sheet = strip(cells * edge, 4 * edge, edge, pattern);
   const double bottom = 0.5 * (sheet.length - arc);

@@ -29,7 +29,7 @@ class SelfContact {
     std::int32_t face;  ///< of the triangle, or -1
     float due;          ///< measure when the sum of the four path bounds reaches this, m
     float distance;     ///< m, contact distance of this pair
-    float present;      ///< m, <= distance: what is left of it after an overload, see activate()
+    float present;      ///< m, <= distance: what is left of it after an overload; negative: not active
     float normal[3];    ///< last direction from the second to the first; zero: unknown
     float slip[3];      ///< m, stretch of the tangential spring
   };
