@@ -43,7 +43,7 @@ class Watched final : public Objective {
     well_formed &=
         x.rows() == dim_ && x.cols() == static_cast<Index>(instances.size()) && x.cols() > 0 && x.allFinite();
     for (std::size_t i = 0; i < instances.size(); ++i) {
-      well_formed &= instances[i] >= 0 && instances[i] < count && (i == 0 || instances[i] > instances[i - 1]);
+      well_formed &= instances[i] >= 0 && instances[i] < count && (i == 0 || instances[i] >= instances[i - 1]);
     }
     if (!well_formed) throw Error("conformance: a malformed batch");
 
@@ -540,8 +540,7 @@ const std::vector<Law>& optimiser_laws() {
        same_seed_same_bits},
       {"same_bits_on_two_threads", "Two searches at once end as one alone (numbers that differ).", 0,
        same_bits_on_two_threads},
-      {"batches_are_well_formed",
-       "Instances come ascending, at most once, with finite points; none means none (violations).", 0,
+      {"batches_are_well_formed", "Instances come ascending, with finite points; none means none (violations).", 0,
        batches_are_well_formed},
       {"errors_of_the_objective_pass_through", "What the objective throws reaches the caller (swallowed).", 0,
        errors_of_the_objective_pass_through},

@@ -67,10 +67,23 @@ struct Fold {
     all[2].state = task.trajectory->segment_states(task.manipulation, start, controls(1, 4)).row(0).transpose();
     return all;
   }
+  /// A prediction whose shapes have the sizes that were asked for; a failed case has none.
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases, bool gradients = false) const {
     PredictionRequest request;
     request.gradients = gradients;
-    return predictor->predict(cases, request);
+    auto prediction = predictor->predict(cases, request);
+    const auto& shapes = prediction->shapes();
+    require_shape("cases of shapes()", static_cast<Index>(shapes.size()), static_cast<Index>(cases.size()));
+    for (std::size_t i = 0; i < cases.size(); ++i) {
+      if (!prediction->failure(i).empty() && shapes[i].empty()) continue;
+      require_shape("shapes of a case", static_cast<Index>(shapes[i].size()),
+                    static_cast<Index>(cases[i].segments.size()));
+      for (const auto& s : shapes[i]) {
+        require_shape("rows of a mean", s.mean.rows(), vertices());
+        require_shape("rows of a sigma", s.sigma.rows(), vertices());
+      }
+    }
+    return prediction;
   }
   Index vertices() const { return shape->rows(); }
 
@@ -104,6 +117,20 @@ Cotangents smooth_cotangents(const Fold& fold, const std::vector<PredictionCase>
     }
   }
   return all;
+}
+
+/// pullback() with one gradient per case, of the size of its controls (or none, where those were not asked for).
+std::vector<CaseGradient> pull(const Prediction& prediction, const std::vector<PredictionCase>& cases,
+                               const Cotangents& weights) {
+  auto gradients = prediction.pullback(weights);
+  require_shape("cases of pullback()", static_cast<Index>(gradients.size()), static_cast<Index>(cases.size()));
+  for (std::size_t i = 0; i < cases.size(); ++i) {
+    if (gradients[i].controls.size() == 0)
+      gradients[i].controls = Controls::Zero(cases[i].controls.rows(), cases[i].controls.cols());
+    require_shape("rows of d controls", gradients[i].controls.rows(), cases[i].controls.rows());
+    require_shape("columns of d controls", gradients[i].controls.cols(), cases[i].controls.cols());
+  }
+  return gradients;
 }
 
 std::string failures(const Prediction& prediction, std::size_t count) {
@@ -158,8 +185,7 @@ Outcome pullback_error(const Fold& fold, double step,
   const auto weights = smooth_cotangents(fold, cases);
   const auto prediction = fold.predict(cases, true);
   if (const auto text = failures(*prediction, cases.size()); !text.empty()) return failed(text);
-  const auto gradients = prediction->pullback(weights);
-  require_shape("cases of pullback()", static_cast<Index>(gradients.size()), static_cast<Index>(cases.size()));
+  const auto gradients = pull(*prediction, cases, weights);
   double error = 0.0, size = 0.0;
   RandomStream random(33);
   for (int trial = 0; trial < 3; ++trial) {
@@ -177,8 +203,6 @@ Outcome pullback_error(const Fold& fold, double step,
       const auto& g = gradients[i];
       double predicted = d.centre.dot(g.centre) + d.width.dot(g.width);
       if (d.controls.size() > 0) {
-        if (g.controls.rows() != cases[i].controls.rows() || g.controls.cols() != cases[i].controls.cols())
-          return failed("d controls has another shape than the controls");
         predicted += d.controls.cwiseProduct(g.controls).sum();
       }
       if (d.state.size() > 0) {
@@ -345,18 +369,17 @@ Outcome pullback_is_for_those_who_asked(const Bench& bench) {
                               [&] { fold.predict(cases)->pullback(weights); });
   if (!fold.capabilities.gradients) return refusals.outcome();
   // Of controls and knowledge, the one not asked for comes back as zeros, and the other as if both had been.
-  const auto both = fold.predict(cases, true)->pullback(weights);
+  const auto both = pull(*fold.predict(cases, true), cases, weights);
   PredictionRequest request;
   request.gradients = true;
   request.control_gradients = false;
-  const auto knowledge = fold.predictor->predict(cases, request)->pullback(weights);
+  const auto knowledge = pull(*fold.predictor->predict(cases, request), cases, weights);
   request.control_gradients = true;
   request.knowledge_gradients = false;
-  const auto controls = fold.predictor->predict(cases, request)->pullback(weights);
+  const auto controls = pull(*fold.predictor->predict(cases, request), cases, weights);
   const auto near = [](const auto& a, const auto& b) { return (a - b).norm() <= 1e-9 * (a.norm() + b.norm()); };
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    if (knowledge[i].controls.size() > 0 && !knowledge[i].controls.isZero(0.0))
-      refusals.miss("d controls, not asked for,");
+    if (!knowledge[i].controls.isZero(0.0)) refusals.miss("d controls, not asked for,");
     if (!controls[i].centre.isZero(0.0) || !controls[i].width.isZero(0.0)) refusals.miss("d knowledge, not asked for,");
     if (!near(controls[i].controls, both[i].controls) || !near(knowledge[i].centre, both[i].centre) ||
         !near(knowledge[i].width, both[i].width))
@@ -379,7 +402,7 @@ Outcome zero_cotangents_may_be_empty(const Bench& bench) {
     }
   }
   const auto prediction = fold.predict(cases, true);
-  const auto a = prediction->pullback(weights), b = prediction->pullback(holes);
+  const auto a = pull(*prediction, cases, weights), b = pull(*prediction, cases, holes);
   double error = 0.0, size = 1e-12;
   for (std::size_t i = 0; i < cases.size(); ++i) {
     error +=
@@ -410,12 +433,12 @@ Outcome batch_equals_singles(const Bench& bench) {
   const bool gradients = fold.capabilities.gradients;
   const auto batch = fold.predict(cases, gradients);
   std::vector<CaseGradient> together;
-  if (gradients) together = batch->pullback(weights);
+  if (gradients) together = pull(*batch, cases, weights);
   double wrong = 0.0;
   for (std::size_t i = 0; i < cases.size(); ++i) {
     const auto single = fold.predict({cases[i]}, gradients);
     wrong += differing_case(*batch, i, *single, 0);
-    if (gradients) wrong += differing_gradient(together[i], single->pullback({weights[i]}).at(0));
+    if (gradients) wrong += differing_gradient(together[i], pull(*single, {cases[i]}, {weights[i]}).at(0));
   }
   const std::vector<PredictionCase> backwards(cases.rbegin(), cases.rend());
   const auto reversed = fold.predict(backwards);
@@ -441,21 +464,23 @@ Outcome predictions_live_side_by_side(const Bench& bench) {
   auto first = fold.predict(cases, gradients);
   std::vector<std::vector<ShapeDistribution>> copy = first->shapes();
   std::vector<CaseGradient> before;
-  if (gradients) before = first->pullback(weights);
+  if (gradients) before = pull(*first, cases, weights);
   // Others come and go; their inputs go as well.
   for (int k = 0; k < 2; ++k) {
     std::vector<PredictionCase> others = {fold.ask(1, {1}, 50 + static_cast<std::uint64_t>(k)), fold.ask(2, {2}, 60)};
     const auto other = fold.predict(others, gradients);
     if (gradients) other->pullback(smooth_cotangents(fold, others));
   }
+  const auto& now = first->shapes();
+  if (now.size() != copy.size()) return failed("the prediction has another number of cases now");
   double wrong = 0.0;
   for (std::size_t i = 0; i < cases.size(); ++i) {
+    if (now[i].size() != copy[i].size()) return failed("the prediction has another number of shapes now");
     for (std::size_t s = 0; s < copy[i].size(); ++s)
-      wrong += differing(copy[i][s].mean, first->shapes()[i][s].mean) +
-               differing(copy[i][s].sigma, first->shapes()[i][s].sigma);
+      wrong += differing(copy[i][s].mean, now[i][s].mean) + differing(copy[i][s].sigma, now[i][s].sigma);
   }
   if (gradients && fold.capabilities.deterministic) {
-    const auto after = first->pullback(weights);
+    const auto after = pull(*first, cases, weights);
     for (std::size_t i = 0; i < cases.size(); ++i) wrong += differing_gradient(before[i], after[i]);
   }
   return {wrong, ""};
@@ -482,7 +507,7 @@ Outcome shapes_are_those_asked_for(const Bench& bench) {
   Refusals wrong;
   const std::vector<PredictionCase> cases = {fold.ask(3, {1, 2, 3}, 1), fold.ask(3, {2}, 1), fold.ask(2, {}, 5),
                                              fold.ask(1, {1}, 6)};
-  const auto all = fold.predict(cases);
+  const auto all = fold.predictor->predict(cases, {});
   PredictionRequest request;
   request.moments = Moments::mean;
   const auto means = fold.predictor->predict(cases, request);

@@ -1,0 +1,143 @@
+// The kit itself: every law holds for a toy that obeys it and fails for a mutant that does not.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <fstream>
+#include <sstream>
+
+#include "weft/conformance.hpp"
+
+namespace weft {
+namespace {
+
+const std::vector<std::string> kKinds = {"simulator", "predictor", "trajectory", "optimiser"};
+
+class Conformance : public testing::Test {
+ protected:
+  std::vector<LawResult> check(const std::string& kind, const std::string& params, const ConfigNode& tolerances = {},
+                               const std::vector<std::string>& only = {}) {
+    const auto slot = ConfigNode::parse("{plugin: toy_" + kind + ", params: {" + params + "}}", "test");
+    return check_conformance(*host_, kind, slot, tolerances, only);
+  }
+  std::shared_ptr<const PluginRegistry> registry_ =
+      std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_TOYS});
+  std::unique_ptr<Host> host_ = make_host(registry_, HostOptions{1, 0, nullptr, nullptr});
+};
+
+struct Kind : Conformance, testing::WithParamInterface<std::string> {};
+INSTANTIATE_TEST_SUITE_P(Every, Kind, testing::ValuesIn(kKinds), [](const auto& which) { return which.param; });
+
+TEST_P(Kind, LawsHoldForTheToy) {
+  for (const auto& r : check(GetParam(), "mutation: none"))
+    EXPECT_TRUE(r.passed) << r.law << ": " << r.measured << " > " << r.bound << "  " << r.detail;
+}
+
+TEST_P(Kind, LawsHoldForTheToyThatDeclaresNothing) {
+  for (const auto& r : check(GetParam(), "declare: false"))
+    EXPECT_TRUE(r.passed) << r.law << ": " << r.measured << " > " << r.bound << "  " << r.detail;
+}
+
+TEST_P(Kind, EveryLawHasAMutantThatFailsIt) {
+  for (const auto& law : list_laws(GetParam())) {
+    const auto results = check(GetParam(), "mutation: " + law.law, {}, {law.law});
+    ASSERT_EQ(results.size(), 1u);
+    EXPECT_EQ(results[0].law, law.law);
+    EXPECT_FALSE(results[0].passed) << law.law << ": measured " << results[0].measured << ", bound "
+                                    << results[0].bound;
+  }
+}
+
+TEST_P(Kind, LawsAreNamedAndExplained) {
+  std::vector<std::string> names;
+  for (const auto& law : list_laws(GetParam())) {
+    EXPECT_FALSE(law.text.empty()) << law.law;
+    EXPECT_TRUE(law.text.ends_with(".")) << law.law;
+    EXPECT_GE(law.bound, 0.0);
+    names.push_back(law.law);
+  }
+  std::sort(names.begin(), names.end());
+  EXPECT_EQ(std::adjacent_find(names.begin(), names.end()), names.end());
+}
+
+/// docs/conformance.md has one table row per law: | `law` | text | bound |
+TEST_P(Kind, TheDocumentListsEveryLaw) {
+  std::ifstream file(WEFT_SOURCE_DIR "/docs/conformance.md");
+  ASSERT_TRUE(file);
+  std::string section, line;
+  std::vector<std::string> rows, wanted;
+  while (std::getline(file, line)) {
+    if (line.starts_with("## ")) section = line.substr(3);
+    if (section == GetParam() && line.starts_with("| `")) rows.push_back(line);
+  }
+  for (const auto& law : list_laws(GetParam())) {
+    std::ostringstream row;
+    row << "| `" << law.law << "` | " << law.text << " | " << law.bound << " |";
+    wanted.push_back(row.str());
+  }
+  EXPECT_EQ(rows, wanted);
+}
+
+TEST_F(Conformance, WhatIsNotDeclaredMustBeRefused) {
+  const auto broken = [&](const std::string& kind, const std::string& law) {
+    const auto r = check(kind, "declare: false, accept: true", {}, {law});
+    return !r.at(0).passed;
+  };
+  EXPECT_TRUE(broken("simulator", "pinned_stays_pinned"));
+  EXPECT_TRUE(broken("simulator", "gravity_any_direction"));
+  EXPECT_TRUE(broken("simulator", "restored_run_is_bit_exact"));
+  EXPECT_TRUE(broken("predictor", "pullback_of_controls"));
+  EXPECT_TRUE(broken("predictor", "pullback_of_centre"));
+  EXPECT_TRUE(broken("predictor", "pullback_of_width"));
+  EXPECT_TRUE(broken("predictor", "pullback_of_state"));
+  EXPECT_TRUE(broken("predictor", "pullback_of_shape"));
+  EXPECT_TRUE(broken("predictor", "jvp_matches"));
+}
+
+TEST_F(Conformance, UndeclaredAbilitiesAreSaidToBe) {
+  const auto r = check("simulator", "declare: false", {}, {"pinned_stays_pinned"});
+  EXPECT_EQ(r.at(0).detail, "not declared; throws Unsupported");
+}
+
+TEST_F(Conformance, AToleranceReplacesTheBound) {
+  const auto loose = ConfigNode::parse("rest_stays_at_rest: {bound: 1, reason: it drifts}", "tolerances.yaml");
+  const auto r = check("simulator", "mutation: rest_stays_at_rest", loose, {"rest_stays_at_rest"});
+  EXPECT_EQ(r.at(0).bound, 1.0);
+  EXPECT_TRUE(r.at(0).passed);
+  const auto tight = ConfigNode::parse("falls_freely: {bound: 1e-9, reason: none}", "tolerances.yaml");
+  EXPECT_FALSE(check("simulator", "", tight, {"falls_freely"}).at(0).passed);
+}
+
+TEST_F(Conformance, TolerancesCarryParameters) {
+  const auto params = ConfigNode::parse("params: {mutation: falls_freely}", "tolerances.yaml");
+  EXPECT_FALSE(check("simulator", "", params, {"falls_freely"}).at(0).passed);
+  EXPECT_TRUE(check("simulator", "mutation: none", params, {"falls_freely"}).at(0).passed) << "the slot goes first";
+}
+
+TEST_F(Conformance, RefusesBadTolerances) {
+  const auto with = [&](const std::string& text) {
+    check("trajectory", "", ConfigNode::parse(text, "t.yaml"), {"refuses_bad_shapes"});
+  };
+  EXPECT_THROW(with("refuses_bad_shapes: {bound: 1}"), ConfigError);
+  EXPECT_THROW(with("refuses_bad_shapes: {bound: 1, reason: ''}"), ConfigError);
+  EXPECT_THROW(with("refuses_bad_shapes: {reason: why not}"), ConfigError);
+  EXPECT_THROW(with("refuses_bad_shape: {bound: 1, reason: x}"), ConfigError);
+  EXPECT_THROW(with("task: {trajectory: {plugin: arc}}"), ConfigError);
+  EXPECT_THROW(with("params: {mutatoin: none}"), ConfigError);
+  EXPECT_NO_THROW(with("{}"));
+}
+
+TEST_F(Conformance, RefusesUnknownLawsAndKinds) {
+  EXPECT_THROW(check("trajectory", "", {}, {"no_such_law"}), ConfigError);
+  EXPECT_THROW(list_laws("robot"), ConfigError);
+}
+
+TEST_F(Conformance, PredictorsAreBoundToTheTaskGiven) {
+  const auto task =
+      ConfigNode::parse("task: {trajectory: {plugin: toy_trajectory}, simulator: {plugin: toy_simulator}}", "t.yaml");
+  for (const auto& r : check("predictor", "", task))
+    EXPECT_TRUE(r.passed) << r.law << ": " << r.measured << "  " << r.detail;
+  EXPECT_THROW(check("predictor", "", ConfigNode::parse("task: {trajctory: {plugin: arc}}", "t.yaml")), ConfigError);
+}
+
+}  // namespace
+}  // namespace weft

@@ -1,0 +1,254 @@
+#include <cmath>
+#include <mutex>
+
+#include "toy.hpp"
+#include "weft/plugin.hpp"
+#include "weft/predictor.hpp"
+
+namespace weft::toy {
+namespace {
+
+using Shapes = std::vector<std::vector<ShapeDistribution>>;
+
+/// What every vertex does, as closed formulas of
+///     D = 0.1 (sum over segments and controls of control / scale + sum of state / scale)
+///     mean = shape + 0.05 (sin(D + p) - sin(p)) M,     M = 1 + sum over properties of a_q centre_q + b_q width_q
+///     sigma = 0.002 exp(0.3 sin(D + p) + 0.05 sum of centre + 0.125 sum of width)
+/// with a phase p per vertex and axis and weights a, b per axis.
+struct Formula {
+  double phase(Index v, Index k) const { return 0.3 * static_cast<double>(v) + 0.9 * static_cast<double>(k); }
+  double a(int q, Index k) const { return 0.3 * std::cos(static_cast<double>(q) + static_cast<double>(k)); }
+  double b(int q, Index k) const { return 0.2 * std::sin(1.0 + static_cast<double>(q) - static_cast<double>(k)); }
+  double drive(const PredictionCase& c, Index segments) const {
+    double sum = c.state.cwiseQuotient(state_scale).sum();
+    for (Index j = 0; j < segments; ++j) sum += c.controls.row(j).transpose().cwiseQuotient(control_scale).sum();
+    return 0.1 * sum;
+  }
+  Vector control_scale, state_scale;
+};
+
+struct Partials {
+  double d_drive_mean, d_drive_sigma;
+  PropertyVector d_centre_mean, d_width_mean;
+  double d_centre_sigma, d_width_sigma;  // the same for every property
+};
+
+Partials partials(const Formula& f, const PredictionCase& c, double drive, Index v, Index k, double sigma) {
+  const double p = f.phase(v, k), s = 0.05 * (std::sin(drive + p) - std::sin(p));
+  Partials d;
+  double m = 1.0;
+  for (int q = 0; q < 4; ++q) {
+    m += f.a(q, k) * c.knowledge.centre[q] + f.b(q, k) * c.knowledge.width[q];
+    d.d_centre_mean[q] = s * f.a(q, k);
+    d.d_width_mean[q] = s * f.b(q, k);
+  }
+  d.d_drive_mean = 0.05 * std::cos(drive + p) * m;
+  d.d_drive_sigma = sigma * 0.3 * std::cos(drive + p);
+  d.d_centre_sigma = 0.05 * sigma;
+  d.d_width_sigma = 0.125 * sigma;
+  return d;
+}
+
+ShapeDistribution evaluate(const Formula& f, const PredictionCase& c, Index segments) {
+  const double drive = f.drive(c, segments);
+  ShapeDistribution shape{*c.shape, Positions(c.shape->rows(), 3)};
+  for (Index v = 0; v < shape.mean.rows(); ++v) {
+    for (Index k = 0; k < 3; ++k) {
+      const double p = f.phase(v, k);
+      double m = 1.0;
+      for (int q = 0; q < 4; ++q) m += f.a(q, k) * c.knowledge.centre[q] + f.b(q, k) * c.knowledge.width[q];
+      shape.mean(v, k) += 0.05 * (std::sin(drive + p) - std::sin(p)) * m;
+      shape.sigma(v, k) = 0.002 * std::exp(0.3 * std::sin(drive + p) + 0.05 * c.knowledge.centre.sum() +
+                                           0.125 * c.knowledge.width.sum());
+    }
+  }
+  return shape;
+}
+
+class ToyPrediction final : public Prediction {
+ public:
+  ToyPrediction(const Params& params, Formula formula, std::vector<PredictionCase> cases,
+                const PredictionRequest& request)
+      : p_(params), f_(std::move(formula)), cases_(std::move(cases)), request_(request), failures_(cases_.size()) {}
+
+  const Shapes& shapes() const override { return shared ? *shared : own; }
+  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
+
+  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
+    if (!p_.declare && !p_.accept) throw Unsupported("toy: no gradients");
+    if (!request_.gradients && !is("pullback_is_for_those_who_asked"))
+      throw Unsupported("toy: gradients were not asked for");
+    std::vector<CaseGradient> all;
+    for (std::size_t i = 0; i < cases_.size(); ++i) {
+      const auto& c = cases_[i];
+      CaseGradient g;
+      g.controls = Controls::Zero(c.controls.rows(), c.controls.cols());
+      g.state = Vector::Zero(c.state.size());
+      g.shape = Positions::Zero(c.shape->rows(), 3);
+      for (std::size_t s = 0; s < c.segments.size(); ++s) {
+        Positions wm = cotangents.at(i).at(s).mean, ws = cotangents.at(i).at(s).sigma;
+        const double empty = is("zero_cotangents_may_be_empty") ? 1.0 : 0.0;
+        if (wm.rows() == 0) wm = Positions::Constant(c.shape->rows(), 3, empty);
+        if (ws.rows() == 0) ws = Positions::Constant(c.shape->rows(), 3, empty);
+        const auto at = evaluate(f_, c, c.segments[s]);
+        const double drive = f_.drive(c, c.segments[s]);
+        double d_drive = 0.0;
+        for (Index v = 0; v < c.shape->rows(); ++v) {
+          for (Index k = 0; k < 3; ++k) {
+            const auto d = partials(f_, c, drive, v, k, at.sigma(v, k));
+            d_drive += d.d_drive_mean * wm(v, k) + d.d_drive_sigma * ws(v, k);
+            g.centre += wm(v, k) * d.d_centre_mean;
+            g.width += wm(v, k) * d.d_width_mean;
+            g.centre.array() += ws(v, k) * d.d_centre_sigma;
+            g.width.array() += ws(v, k) * d.d_width_sigma;
+          }
+        }
+        for (Index j = 0; j < c.segments[s]; ++j)
+          g.controls.row(j) += 0.1 * d_drive * f_.control_scale.cwiseInverse().transpose();
+        g.state += 0.1 * d_drive * f_.state_scale.cwiseInverse();
+        g.shape += wm;
+      }
+      if (is("pullback_of_controls")) g.controls *= 1.1;
+      if (is("pullback_of_centre")) g.centre *= 1.1;
+      if (is("pullback_of_width")) g.width *= -1.0;
+      if (is("pullback_of_state")) g.state *= 1.1;
+      if (is("pullback_of_shape")) g.shape.setZero();
+      if (!request_.control_gradients) g.controls.setZero();
+      if (!request_.knowledge_gradients) {
+        g.centre.setZero();
+        g.width.setZero();
+      }
+      all.push_back(std::move(g));
+    }
+    return all;
+  }
+
+  std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
+      const std::vector<std::vector<CaseDirection>>& directions) const override {
+    if (!p_.declare && !p_.accept) return Prediction::jvp(directions);
+    std::vector<std::vector<std::vector<ShapeCotangent>>> all(cases_.size());
+    for (std::size_t i = 0; i < cases_.size(); ++i) {
+      const auto& c = cases_[i];
+      for (const auto& direction : directions.at(i)) {
+        all[i].emplace_back();
+        for (const Index segment : c.segments) {
+          const auto at = evaluate(f_, c, segment);
+          const double drive = f_.drive(c, segment);
+          double d_drive = 0.0;
+          for (Index j = 0; j < segment; ++j)
+            d_drive += 0.1 * direction.controls.row(j).transpose().cwiseQuotient(f_.control_scale).sum();
+          if (is("jvp_matches")) d_drive *= 1.1;
+          ShapeCotangent out{Positions(c.shape->rows(), 3), Positions(c.shape->rows(), 3)};
+          for (Index v = 0; v < c.shape->rows(); ++v) {
+            for (Index k = 0; k < 3; ++k) {
+              const auto d = partials(f_, c, drive, v, k, at.sigma(v, k));
+              out.mean(v, k) = d.d_drive_mean * d_drive + d.d_centre_mean.dot(direction.centre) +
+                               d.d_width_mean.dot(direction.width);
+              out.sigma(v, k) = d.d_drive_sigma * d_drive + d.d_centre_sigma * direction.centre.sum() +
+                                d.d_width_sigma * direction.width.sum();
+            }
+          }
+          all[i].back().push_back(std::move(out));
+        }
+      }
+    }
+    return all;
+  }
+
+  Shapes own;
+  std::shared_ptr<Shapes> shared;  // a mutant's: other predictions overwrite it
+
+ private:
+  bool is(const char* mutation) const { return p_.mutation == mutation; }
+  Params p_;
+  Formula f_;
+  std::vector<PredictionCase> cases_;
+  PredictionRequest request_;
+  std::vector<std::string> failures_;
+};
+
+}  // namespace
+
+/// Closed formulas with derivatives by hand.
+class ToyPredictor final : public Predictor {
+ public:
+  explicit ToyPredictor(const Params& params) : p_(params) {}
+
+  PredictorCapabilities capabilities() const override {
+    PredictorCapabilities c;
+    c.gradients = c.state_gradients = c.shape_gradients = c.jvp = p_.declare;
+    return c;
+  }
+  void bind(const Task& task) override {
+    vertices_ = task.garment->vertex_count();
+    const auto scales = [](const std::vector<Variable>& variables) {
+      Vector s(static_cast<Index>(variables.size()));
+      for (Index i = 0; i < s.size(); ++i) s[i] = variables[static_cast<std::size_t>(i)].scale;
+      return s;
+    };
+    f_.control_scale = scales(task.trajectory->controls());
+    f_.state_scale = scales(task.trajectory->state());
+  }
+
+  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
+                                      const PredictionRequest& request) const override {
+    auto prediction = std::make_unique<ToyPrediction>(p_, f_, cases, request);
+    if (vertices_ == 0) {
+      if (is("binding_comes_first")) return prediction;
+      throw Error("toy: predict() before bind()");
+    }
+    Shapes shapes;
+    for (const auto& c : cases) {
+      check(c);
+      if (is("a_failed_case_costs_only_itself") && c.shape->cwiseAbs().maxCoeff() > 1e100)
+        throw Diverged("toy: too far");
+      shapes.emplace_back();
+      std::vector<Index> wanted = c.segments;
+      if (is("shapes_are_those_asked_for")) wanted = {1};
+      for (const Index segment : wanted) {
+        auto shape = evaluate(f_, c, segment);
+        if (is("numbers_are_sound") && c.knowledge.width.isZero(0.0)) shape.sigma.setZero();
+        if (is("batch_equals_singles")) shape.mean.array() += 1e-12 * static_cast<double>(cases.size());
+        if (is("same_input_same_bits")) shape.mean.array() += 1e-12 * object_ordinal();
+        if (is("same_bits_on_two_threads")) shape.mean.array() += 1e-12 * thread_ordinal();
+        if (request.moments == Moments::mean) shape.sigma.resize(0, 3);
+        shapes.back().push_back(std::move(shape));
+      }
+    }
+    if (is("predictions_live_side_by_side")) {
+      const std::lock_guard lock(mutex_);
+      *last_ = std::move(shapes);
+      prediction->shared = last_;
+    } else {
+      prediction->own = std::move(shapes);
+    }
+    return prediction;
+  }
+
+ private:
+  bool is(const char* mutation) const { return p_.mutation == mutation; }
+  void check(const PredictionCase& c) const {
+    if (!c.shape) throw ShapeError("toy: no shape");
+    require_shape("toy: shape", c.shape->rows(), vertices_);
+    if (c.previous && !is("refuses_bad_shapes")) require_shape("toy: previous", c.previous->rows(), vertices_);
+    require_shape("toy: state", c.state.size(), f_.state_scale.size());
+    require_shape("toy: controls", c.controls.cols(), f_.control_scale.size());
+    for (std::size_t s = 0; s < c.segments.size(); ++s) {
+      if (c.segments[s] < 1 || c.segments[s] > c.controls.rows() || (s > 0 && c.segments[s] <= c.segments[s - 1]))
+        throw ShapeError("toy: segments must ascend within the controls");
+    }
+    if (!c.shape->allFinite() || !c.state.allFinite() || !c.controls.allFinite() || !c.knowledge.centre.allFinite() ||
+        (!c.knowledge.width.allFinite() && !is("refuses_nan")))
+      throw Error("toy: input is not finite");
+  }
+
+  Params p_;
+  Formula f_;
+  Index vertices_ = 0;
+  mutable std::mutex mutex_;
+  std::shared_ptr<Shapes> last_ = std::make_shared<Shapes>();
+};
+
+}  // namespace weft::toy
+
+WEFT_PLUGIN(weft::Predictor, weft::toy::ToyPredictor, weft::toy::Params, "toy_predictor", "1.0.0")
