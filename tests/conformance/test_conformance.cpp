@@ -139,5 +139,19 @@ TEST_F(Conformance, PredictorsAreBoundToTheTaskGiven) {
   EXPECT_THROW(check("predictor", "", ConfigNode::parse("task: {trajctory: {plugin: arc}}", "t.yaml")), ConfigError);
 }
 
+TEST_F(Conformance, ATaskWithAGarmentIsReadLikeATaskFile) {
+  const std::string configs = WEFT_SOURCE_DIR "/configs";
+  const auto task = [&](const std::string& grasp) {
+    return ConfigNode::parse("task: {garment: " + configs + "/garments/towel_coarse.yaml, material: " + configs +
+                                 "/fabrics/basic.yaml, trajectory: {plugin: toy_trajectory}, simulator: {plugin: "
+                                 "toy_simulator}, manipulation: {grasp: [" +
+                                 grasp + "], displacement_m: [0.3, 0.0]}}",
+                             "t.yaml");
+  };
+  for (const auto& r : check("predictor", "", task("left_bottom, left_top")))
+    EXPECT_TRUE(r.passed) << r.law << ": " << r.measured << "  " << r.detail;
+  EXPECT_THROW(check("predictor", "", task("left_bottom, left_tip")), ConfigError);
+}
+
 }  // namespace
 }  // namespace weft
