@@ -219,7 +219,8 @@ Plan Planner::plan(const PlanRequest& request) const {
     const bool in_time = is_replay || params_.time_budget_s <= 0.0 || elapsed() < params_.time_budget_s;
     return in_time && !host_.cancelled();
   };
-  const auto results = optimiser_->minimise(objective, starts, bounds, scale, options, observer);
+  const auto results = optimiser_->minimise(objective, starts, bounds,
+                                            first ? scale : Vector(params_.replan_scale * scale), options, observer);
 
   plan.loss = std::numeric_limits<double>::infinity();
   for (std::size_t i = 0; i < results.size(); ++i) {

@@ -18,6 +18,7 @@ struct PlannerParams {
   std::int64_t leeway = 5;
   double noise = 1.0;
   double replan_noise = 0.3;
+  double replan_scale = 0.25;
   double activity_weight = 1.0;
   double slowness_weight = 10.0;
   double time_budget_s = 0.0;
@@ -32,6 +33,9 @@ struct PlannerParams {
     v("leeway", leeway, range(0, 200, "segments"), "Later plans: b = length of the preceding plan + leeway.");
     v("noise", noise, range(0, 100), "Gaussian noise on the first plan's starts, in units of each control's scale.");
     v("replan_noise", replan_noise, range(0, 100), "The same for later plans.");
+    v("replan_scale", replan_scale, range(1e-6, 1),
+      "Typical change of a control in a later plan, as a part of its change in the first: scales the optimiser's "
+      "steps.");
     v("activity_weight", activity_weight, range(0, 1e6, "mm^2"), "beta of eq. 4.");
     v("slowness_weight", slowness_weight, range(0, 1e6),
       "Weight inside L_act of segments that progress too slowly to finish within the horizon.");
