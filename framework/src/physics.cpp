@@ -50,9 +50,9 @@ struct Sheet {
   RestPositions flat;  ///< along and across the strip, m; rest may be turned against it
 };
 
-/// A strip [0, length] x [0, width] of triangles with edges near `edge`. Borders and the first two columns are regular in
-/// every pattern, so that a clamp is the same; the inside is a grid, a grid turned by 27 degrees, or a shaken grid, the last
-/// two triangulated by Delaunay. @param turn rad: the warp direction makes this angle with the strip.
+/// A strip [0, length] x [0, width] of triangles with edges near `edge`. Borders and the first two columns are regular
+/// in every pattern, so that a clamp is the same; the inside is a grid, a grid turned by 27 degrees, or a shaken grid,
+/// the last two triangulated by Delaunay. @param turn rad: the warp direction makes this angle with the strip.
 Sheet strip(double length, double width, double edge, Pattern pattern, double turn = 0.0) {
   const auto nx = static_cast<Index>(std::lround(length / edge)), ny = static_cast<Index>(std::lround(width / edge));
   const double dx = length / static_cast<double>(nx), dy = width / static_cast<double>(ny);
@@ -70,11 +70,13 @@ Sheet strip(double length, double width, double edge, Pattern pattern, double tu
   } else {
     for (Index j = 0; j <= ny; ++j)
       for (Index i = 0; i <= nx; ++i)
-        if (i <= 1 || i == nx || j == 0 || j == ny) points.emplace_back(static_cast<double>(i) * dx, static_cast<double>(j) * dy);
+        if (i <= 1 || i == nx || j == 0 || j == ny)
+          points.emplace_back(static_cast<double>(i) * dx, static_cast<double>(j) * dy);
     RandomStream random(7, static_cast<std::uint64_t>(nx * 1000 + ny));
     const double clear = 0.6;
     const auto inside = [&](const Vec2& p) {
-      return p.x() > dx * (1.0 + clear) && p.x() < length - clear * dx && p.y() > clear * dy && p.y() < width - clear * dy;
+      return p.x() > dx * (1.0 + clear) && p.x() < length - clear * dx && p.y() > clear * dy &&
+             p.y() < width - clear * dy;
     };
     if (pattern == Pattern::rotated) {
       const double c = std::cos(0.47), s = std::sin(0.47);
@@ -112,7 +114,8 @@ Sheet strip(double length, double width, double edge, Pattern pattern, double tu
   for (Index i = 0; i < n; ++i) {
     const Vec2& p = points[static_cast<std::size_t>(i)];
     sheet.flat.row(i) = p.transpose();
-    sheet.rest.row(i) << std::cos(turn) * p.x() + std::sin(turn) * p.y(), -std::sin(turn) * p.x() + std::cos(turn) * p.y();
+    sheet.rest.row(i) << std::cos(turn) * p.x() + std::sin(turn) * p.y(),
+        -std::sin(turn) * p.x() + std::cos(turn) * p.y();
     sheet.positions.row(i) << p.x(), p.y(), 0.0;
   }
   sheet.faces.resize(static_cast<Index>(triangles.size()), 3);
@@ -186,8 +189,8 @@ Vec3 mean_of(const Positions& x, const std::vector<Index>& rows) {
   return sum / static_cast<double>(rows.size());
 }
 
-PhysicsRow row(std::string test, const SimulatorVariant& variant, std::string name, std::string quantity, double reference,
-               double measured, double error, double bound, std::string note = "") {
+PhysicsRow row(std::string test, const SimulatorVariant& variant, std::string name, std::string quantity,
+               double reference, double measured, double error, double bound, std::string note = "") {
   PhysicsRow r;
   r.test = std::move(test);
   r.variant = variant.name;
@@ -201,8 +204,8 @@ PhysicsRow row(std::string test, const SimulatorVariant& variant, std::string na
   r.note = std::move(note);
   return r;
 }
-PhysicsRow relative(std::string test, const SimulatorVariant& variant, std::string name, std::string quantity, double reference,
-                    double measured, double bound, std::string note = "") {
+PhysicsRow relative(std::string test, const SimulatorVariant& variant, std::string name, std::string quantity,
+                    double reference, double measured, double bound, std::string note = "") {
   return row(std::move(test), variant, std::move(name), std::move(quantity), reference, measured,
              std::abs(measured / reference - 1.0), bound, std::move(note));
 }
@@ -285,25 +288,29 @@ void add_elastica(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
   // Orthotropy: B(p) = Bw c^4 + Bf s^4 + (4 Bb - Bw - Bf) c^2 s^2. Each direction is scaled to G = 8 along itself.
   const Elastica reference = kElastica[4];
   for (const int degrees : {0, 45, 90}) {
-    const std::string name = mm(p.fine_edge_m) + (degrees == 0 ? " along warp" : degrees == 90 ? " along weft" : " along bias");
-    cases.push_back({"orthotropy", name, [=](const std::vector<SimulatorVariant>& variants) {
-                       const double turn = degrees * std::numbers::pi / 180.0;
-                       // 20 edges long and as wide: a narrow strip on the bias would also twist.
-                       const Sheet sheet = strip(21 * p.fine_edge_m, 20 * p.fine_edge_m, p.fine_edge_m, Pattern::regular, turn);
-                       const double length = sheet.length - 0.5 * sheet.edge;
-                       const double wanted = p.density_kg_per_m2 * kGravity * std::pow(length, 3) / reference.g;
-                       const double warp = 1.0, weft = 0.4, bias = 0.6;
-                       const double c = std::cos(turn), s = std::sin(turn);
-                       const double along = warp * std::pow(c, 4) + weft * std::pow(s, 4) + (4 * bias - warp - weft) * c * c * s * s;
-                       Fabric fabric = test_fabric(p);
-                       fabric.bend_warp_n_m = warp * wanted / along;
-                       fabric.bend_weft_n_m = weft * wanted / along;
-                       fabric.bend_bias_n_m = bias * wanted / along;
-                       const auto simulator = variants[0].make();
-                       const Vec2 tip = cantilever(*simulator, sheet, fabric, wanted);
-                       return std::vector<PhysicsRow>{row("orthotropy", variants[0], name, "drop/L", reference.drop, tip.y(),
-                                                          std::hypot(tip.x() - reference.x, tip.y() - reference.drop), 0.03)};
-                     }});
+    const std::string name = mm(p.fine_edge_m) + (degrees == 0    ? " along warp"
+                                                  : degrees == 90 ? " along weft"
+                                                                  : " along bias");
+    cases.push_back(
+        {"orthotropy", name, [=](const std::vector<SimulatorVariant>& variants) {
+           const double turn = degrees * std::numbers::pi / 180.0;
+           // 20 edges long and as wide: a narrow strip on the bias would also twist.
+           const Sheet sheet = strip(21 * p.fine_edge_m, 20 * p.fine_edge_m, p.fine_edge_m, Pattern::regular, turn);
+           const double length = sheet.length - 0.5 * sheet.edge;
+           const double wanted = p.density_kg_per_m2 * kGravity * std::pow(length, 3) / reference.g;
+           const double warp = 1.0, weft = 0.4, bias = 0.6;
+           const double c = std::cos(turn), s = std::sin(turn);
+           const double along =
+               warp * std::pow(c, 4) + weft * std::pow(s, 4) + (4 * bias - warp - weft) * c * c * s * s;
+           Fabric fabric = test_fabric(p);
+           fabric.bend_warp_n_m = warp * wanted / along;
+           fabric.bend_weft_n_m = weft * wanted / along;
+           fabric.bend_bias_n_m = bias * wanted / along;
+           const auto simulator = variants[0].make();
+           const Vec2 tip = cantilever(*simulator, sheet, fabric, wanted);
+           return std::vector<PhysicsRow>{row("orthotropy", variants[0], name, "drop/L", reference.drop, tip.y(),
+                                              std::hypot(tip.x() - reference.x, tip.y() - reference.drop), 0.03)};
+         }});
   }
 }
 
@@ -338,8 +345,8 @@ void add_hanging(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                                first = got;
                                rows.push_back(relative("hanging", variants[k], name, "extension m", wanted, got, 0.02));
                              } else {
-                               rows.push_back(relative("hanging", variants[k], name + " against " + variants[0].name, "extension m",
-                                                       first, got, 0.01));
+                               rows.push_back(relative("hanging", variants[k], name + " against " + variants[0].name,
+                                                       "extension m", first, got, 0.01));
                              }
                            }
                            return rows;
@@ -354,34 +361,35 @@ void add_catenary(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
   for (const Reference reference : {Reference{1.05, 0.13930}, {1.25, 0.33180}, {2.0, 0.79639}})
     for (const Pattern pattern : {Pattern::regular, Pattern::irregular}) {
       const std::string name = mm(p.garment_edge_m) + " " + name_of(pattern) + text(" L/d=%g", reference.ratio);
-      cases.push_back({"catenary", name, [=](const std::vector<SimulatorVariant>& variants) {
-                         const double length = 20 * p.garment_edge_m, d = length / reference.ratio;
-                         Sheet sheet = strip(length, 3 * p.garment_edge_m, p.garment_edge_m, pattern);
-                         // Starts as a circular arc of that length: half angle a with sin(a)/a = d/L.
-                         double low = 1e-6, high = std::numbers::pi;
-                         for (int k = 0; k < 80; ++k) {
-                           const double a = 0.5 * (low + high);
-                           (std::sin(a) / a > d / length ? low : high) = a;
-                         }
-                         const double radius = 0.5 * length / low;
-                         for (Index i = 0; i < sheet.positions.rows(); ++i) {
-                           const double a = (sheet.flat(i, 0) / length * 2.0 - 1.0) * low;
-                           sheet.positions.row(i) << radius * std::sin(a), sheet.flat(i, 1), radius * (std::cos(low) - std::cos(a));
-                         }
-                         // Nearly inextensible and without bending: 0.03 % strain, and (B / w)^(1/3) = 4 mm.
-                         Fabric fabric = test_fabric(p);
-                         fabric.stretch_warp_n_per_m = fabric.stretch_weft_n_per_m = 40.0 * p.stretch_n_per_m;
-                         set_bend(fabric, 1e-7);
-                         fabric.damping_air_per_s = 8.0;
-                         Scene scene = no_ground();
-                         scene.pins = sheet.column(0.0);
-                         for (const Index i : sheet.column(length)) scene.pins.push_back(i);
-                         const auto simulator = variants[0].make();
-                         simulator->reset(sheet.garment("catenary"), fabric, scene);
-                         rest(*simulator, 5e-4, 600);
-                         const double sag = -simulator->positions().col(2).minCoeff() / d;
-                         return std::vector<PhysicsRow>{relative("catenary", variants[0], name, "sag/d", reference.sag, sag, 0.02)};
-                       }});
+      cases.push_back(
+          {"catenary", name, [=](const std::vector<SimulatorVariant>& variants) {
+             const double length = 20 * p.garment_edge_m, d = length / reference.ratio;
+             Sheet sheet = strip(length, 3 * p.garment_edge_m, p.garment_edge_m, pattern);
+             // Starts as a circular arc of that length: half angle a with sin(a)/a = d/L.
+             double low = 1e-6, high = std::numbers::pi;
+             for (int k = 0; k < 80; ++k) {
+               const double a = 0.5 * (low + high);
+               (std::sin(a) / a > d / length ? low : high) = a;
+             }
+             const double radius = 0.5 * length / low;
+             for (Index i = 0; i < sheet.positions.rows(); ++i) {
+               const double a = (sheet.flat(i, 0) / length * 2.0 - 1.0) * low;
+               sheet.positions.row(i) << radius * std::sin(a), sheet.flat(i, 1), radius * (std::cos(low) - std::cos(a));
+             }
+             // Nearly inextensible and without bending: 0.03 % strain, and (B / w)^(1/3) = 4 mm.
+             Fabric fabric = test_fabric(p);
+             fabric.stretch_warp_n_per_m = fabric.stretch_weft_n_per_m = 40.0 * p.stretch_n_per_m;
+             set_bend(fabric, 1e-7);
+             fabric.damping_air_per_s = 8.0;
+             Scene scene = no_ground();
+             scene.pins = sheet.column(0.0);
+             for (const Index i : sheet.column(length)) scene.pins.push_back(i);
+             const auto simulator = variants[0].make();
+             simulator->reset(sheet.garment("catenary"), fabric, scene);
+             rest(*simulator, 5e-4, 600);
+             const double sag = -simulator->positions().col(2).minCoeff() / d;
+             return std::vector<PhysicsRow>{relative("catenary", variants[0], name, "sag/d", reference.sag, sag, 0.02)};
+           }});
     }
 }
 
@@ -389,7 +397,8 @@ void add_catenary(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
 struct Slide {
   double mean = 0.0, largest = 0.0;
 };
-Slide slide(Simulator& simulator, const Sheet& sheet, const Fabric& fabric, double slope, double seconds, Index from, Index count) {
+Slide slide(Simulator& simulator, const Sheet& sheet, const Fabric& fabric, double slope, double seconds, Index from,
+            Index count) {
   const double alpha = std::atan(slope);
   Scene scene;
   scene.gravity = {kGravity * std::sin(alpha), 0.0, -kGravity * std::cos(alpha)};
@@ -401,11 +410,13 @@ Slide slide(Simulator& simulator, const Sheet& sheet, const Fabric& fabric, doub
   return {moved.col(0).mean(), moved.rowwise().norm().maxCoeff()};
 }
 
-void incline_rows(std::vector<PhysicsRow>& rows, const std::string& test, const SimulatorVariant& variant, const std::string& name,
-                  double mu, double seconds, double slack, const std::function<Slide(Simulator&, double, double)>& run) {
+void incline_rows(std::vector<PhysicsRow>& rows, const std::string& test, const SimulatorVariant& variant,
+                  const std::string& name, double mu, double seconds, double slack,
+                  const std::function<Slide(Simulator&, double, double)>& run) {
   const auto simulator = variant.make();
   const Slide stuck = run(*simulator, (1.0 - slack) * mu, 1.0);
-  rows.push_back(row(test, variant, name + text(" tan=%g mu", 1.0 - slack), "motion in 1 s, m", 0.0, stuck.largest, stuck.largest, 1e-4));
+  rows.push_back(row(test, variant, name + text(" tan=%g mu", 1.0 - slack), "motion in 1 s, m", 0.0, stuck.largest,
+                     stuck.largest, 1e-4));
   for (const double times : {1.0 + slack, 1.3, 2.0, 3.0}) {
     const double slope = times * mu, alpha = std::atan(slope);
     const double wanted = kGravity * (std::sin(alpha) - mu * std::cos(alpha));
@@ -414,7 +425,8 @@ void incline_rows(std::vector<PhysicsRow>& rows, const std::string& test, const 
     const std::string label = name + text(" tan=%g mu", times);
     if (times < 2.0)
       rows.push_back(row(test, variant, label, "acceleration m/s^2", wanted, got,
-                         std::abs(got - wanted) / (mu * kGravity * std::cos(alpha)), slack, "error in mu g cos(alpha)"));
+                         std::abs(got - wanted) / (mu * kGravity * std::cos(alpha)), slack,
+                         "error in mu g cos(alpha)"));
     else
       rows.push_back(relative(test, variant, label, "acceleration m/s^2", wanted, got, slack));
   }
@@ -430,9 +442,10 @@ void add_incline(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                          fabric.friction = mu;
                          std::vector<PhysicsRow> rows;
                          for (const auto& variant : variants)
-                           incline_rows(rows, "incline", variant, name, mu, 0.5, 0.02, [&](Simulator& simulator, double slope, double t) {
-                             return slide(simulator, sheet, fabric, slope, t, 0, sheet.positions.rows());
-                           });
+                           incline_rows(rows, "incline", variant, name, mu, 0.5, 0.02,
+                                        [&](Simulator& simulator, double slope, double t) {
+                                          return slide(simulator, sheet, fabric, slope, t, 0, sheet.positions.rows());
+                                        });
                          return rows;
                        }});
     }
@@ -448,9 +461,11 @@ void add_incline(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                        upper.positions.rowwise() += Eigen::RowVector3d(0.063, 0.057, 2.0 * fabric.thickness_m);
                        const Sheet sheet = both(lower, upper);
                        std::vector<PhysicsRow> rows;
-                       incline_rows(rows, "cloth on cloth", variants[0], name, mu, 0.4, 0.05, [&](Simulator& simulator, double slope, double t) {
-                         return slide(simulator, sheet, fabric, slope, t, lower.positions.rows(), upper.positions.rows());
-                       });
+                       incline_rows(rows, "cloth on cloth", variants[0], name, mu, 0.4, 0.05,
+                                    [&](Simulator& simulator, double slope, double t) {
+                                      return slide(simulator, sheet, fabric, slope, t, lower.positions.rows(),
+                                                   upper.positions.rows());
+                                    });
                        return rows;
                      }});
   }
@@ -477,9 +492,9 @@ void add_incline(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
   }
 }
 
-/// Height of a heavy folded strip's loop over its lower layer's mid-surface. At both ends of the loop the layers touch down
-/// without curvature; the loop pushes the layers apart, so they must stick (friction 1, layers long enough), and it finds
-/// its length by rolling on and off them. The strip starts as two layers and a lower, tighter half circle.
+/// Height of a heavy folded strip's loop over its lower layer's mid-surface. At both ends of the loop the layers touch
+/// down without curvature; the loop pushes the layers apart, so they must stick (friction 1, layers long enough), and
+/// it finds its length by rolling on and off them. The strip starts as two layers and a lower, tighter half circle.
 double crease(Simulator& simulator, double edge, double bend, Pattern pattern, const PhysicsParams& p) {
   Fabric fabric = test_fabric(p);
   set_bend(fabric, bend);
@@ -510,53 +525,60 @@ void add_crease(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const s
   struct Level {
     double edge, edges_per_length;  // (B / w)^(1/3) in edges
   };
-  for (const Level level : {Level{p.fine_edge_m, 3.0}, {p.fine_edge_m, 5.0}, {p.fine_edge_m, 10.0}, {2 * p.fine_edge_m, 3.0},
-                            {2 * p.fine_edge_m, 5.0}, {p.garment_edge_m, 3.0}})
+  for (const Level level : {Level{p.fine_edge_m, 3.0},
+                            {p.fine_edge_m, 5.0},
+                            {p.fine_edge_m, 10.0},
+                            {2 * p.fine_edge_m, 3.0},
+                            {2 * p.fine_edge_m, 5.0},
+                            {p.garment_edge_m, 3.0}})
     for (const Pattern pattern : {Pattern::regular, Pattern::rotated, Pattern::irregular}) {
-      const std::string name = mm(level.edge) + " " + name_of(pattern) + text(" (B/w)^1/3 = %g edges", level.edges_per_length);
+      const std::string name =
+          mm(level.edge) + " " + name_of(pattern) + text(" (B/w)^1/3 = %g edges", level.edges_per_length);
       cases.push_back({"crease", name, [=](const std::vector<SimulatorVariant>& variants) {
                          const double l = level.edge * level.edges_per_length;
                          const double bend = std::pow(l, 3) * p.density_kg_per_m2 * kGravity;
                          const auto simulator = variants[0].make();
                          return std::vector<PhysicsRow>{relative("crease", variants[0], name, "height m", 0.907 * l,
-                                                                 crease(*simulator, level.edge, bend, pattern, p), 0.10)};
+                                                                 crease(*simulator, level.edge, bend, pattern, p),
+                                                                 0.10)};
                        }});
     }
   if (task) {
-    cases.push_back({"garment crease", task->garment->name, [=](const std::vector<SimulatorVariant>& variants) {
-                       const Task& t = *task;
-                       const auto simulator = variants[0].make();
-                       const MaterialProperties q = MaterialProperties::Constant(0.5);
-                       const FoldResult fold = simulate_fold(*simulator, t, q, t.trajectory->default_controls(25));
-                       const Fabric fabric = t.material.at(q);
-                       // The fold line is normal to d; bending runs along d.
-                       const Vec2 d = t.manipulation.displacement / t.manipulation.displacement.norm();
-                       const double c2 = d.x() * d.x(), s2 = d.y() * d.y();
-                       const double bend = fabric.bend_warp_n_m * c2 * c2 + fabric.bend_weft_n_m * s2 * s2 +
-                                           (4 * fabric.bend_bias_n_m - fabric.bend_warp_n_m - fabric.bend_weft_n_m) * c2 * s2;
-                       const double wanted = 0.907 * std::cbrt(bend / (fabric.density_kg_per_m2 * kGravity));
-                       // In bands across the fold line: the highest point within 1.5 loops of the outermost one.
-                       const Positions& x = fold.shapes.back();
-                       const Vector along = x.leftCols<2>() * d, across = x.leftCols<2>() * Vec2(-d.y(), d.x());
-                       const double low = across.minCoeff(), high = across.maxCoeff();
-                       std::vector<double> heights;
-                       constexpr int kBands = 12;
-                       for (int band = 2; band < kBands - 3; ++band) {
-                         const double from = low + (high - low) * band / kBands, to = low + (high - low) * (band + 1) / kBands;
-                         double outermost = 1e300, highest = 0.0;
-                         for (Index i = 0; i < x.rows(); ++i)
-                           if (across[i] >= from && across[i] < to) outermost = std::min(outermost, along[i]);
-                         for (Index i = 0; i < x.rows(); ++i)
-                           if (across[i] >= from && across[i] < to && along[i] < outermost + 1.5 * wanted)
-                             highest = std::max(highest, x(i, 2));
-                         heights.push_back(highest - fabric.thickness_m);
-                       }
-                       std::sort(heights.begin(), heights.end());
-                       return std::vector<PhysicsRow>{
-                           relative("garment crease", variants[0], t.garment->name + text(", %.0f vertices", static_cast<double>(x.rows())),
-                                    "median height m", wanted, heights[heights.size() / 2], 0.25,
-                                    text("from %.4f", heights.front()) + text(" to %.4f", heights.back()))};
-                     }});
+    cases.push_back(
+        {"garment crease", task->garment->name, [=](const std::vector<SimulatorVariant>& variants) {
+           const Task& t = *task;
+           const auto simulator = variants[0].make();
+           const MaterialProperties q = MaterialProperties::Constant(0.5);
+           const FoldResult fold = simulate_fold(*simulator, t, q, t.trajectory->default_controls(25));
+           const Fabric fabric = t.material.at(q);
+           // The fold line is normal to d; bending runs along d.
+           const Vec2 d = t.manipulation.displacement / t.manipulation.displacement.norm();
+           const double c2 = d.x() * d.x(), s2 = d.y() * d.y();
+           const double bend = fabric.bend_warp_n_m * c2 * c2 + fabric.bend_weft_n_m * s2 * s2 +
+                               (4 * fabric.bend_bias_n_m - fabric.bend_warp_n_m - fabric.bend_weft_n_m) * c2 * s2;
+           const double wanted = 0.907 * std::cbrt(bend / (fabric.density_kg_per_m2 * kGravity));
+           // In bands across the fold line: the highest point within 1.5 loops of the outermost one.
+           const Positions& x = fold.shapes.back();
+           const Vector along = x.leftCols<2>() * d, across = x.leftCols<2>() * Vec2(-d.y(), d.x());
+           const double low = across.minCoeff(), high = across.maxCoeff();
+           std::vector<double> heights;
+           constexpr int kBands = 12;
+           for (int band = 2; band < kBands - 3; ++band) {
+             const double from = low + (high - low) * band / kBands, to = low + (high - low) * (band + 1) / kBands;
+             double outermost = 1e300, highest = 0.0;
+             for (Index i = 0; i < x.rows(); ++i)
+               if (across[i] >= from && across[i] < to) outermost = std::min(outermost, along[i]);
+             for (Index i = 0; i < x.rows(); ++i)
+               if (across[i] >= from && across[i] < to && along[i] < outermost + 1.5 * wanted)
+                 highest = std::max(highest, x(i, 2));
+             heights.push_back(highest - fabric.thickness_m);
+           }
+           std::sort(heights.begin(), heights.end());
+           return std::vector<PhysicsRow>{relative(
+               "garment crease", variants[0], t.garment->name + text(", %.0f vertices", static_cast<double>(x.rows())),
+               "median height m", wanted, heights[heights.size() / 2], 0.25,
+               text("from %.4f", heights.front()) + text(" to %.4f", heights.back()))};
+         }});
   }
 }
 
@@ -574,9 +596,11 @@ void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                      const Positions start = simulator->positions();
                      for (int k = 0; k < 60; ++k) simulator->step(kNothing);
                      const Vec3 way = scene.initial_velocity + Vec3(0.5 * scene.gravity);
-                     const double worst = (simulator->positions() - (start.rowwise() + way.transpose())).rowwise().norm().maxCoeff();
-                     return std::vector<PhysicsRow>{row("free fall", variants[0], "1 s, irregular sheet", "error m", 0.0, worst,
-                                                        worst / (0.5 * kGravity), 2e-3, "error as a part of g t^2/2")};
+                     const double worst =
+                         (simulator->positions() - (start.rowwise() + way.transpose())).rowwise().norm().maxCoeff();
+                     return std::vector<PhysicsRow>{row("free fall", variants[0], "1 s, irregular sheet", "error m",
+                                                        0.0, worst, worst / (0.5 * kGravity), 2e-3,
+                                                        "error as a part of g t^2/2")};
                    }});
   cases.push_back({"rest", "flat sheet", [=](const std::vector<SimulatorVariant>& variants) {
                      const Sheet sheet = strip(0.3, 0.3, p.garment_edge_m, Pattern::irregular);
@@ -585,7 +609,8 @@ void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                      const Positions start = simulator->positions();
                      for (int k = 0; k < 120; ++k) simulator->step(kNothing);
                      const double moved = (simulator->positions() - start).rowwise().norm().maxCoeff();
-                     return std::vector<PhysicsRow>{row("rest", variants[0], "2 s on the ground", "motion m", 0.0, moved, moved, 1e-6)};
+                     return std::vector<PhysicsRow>{
+                         row("rest", variants[0], "2 s on the ground", "motion m", 0.0, moved, moved, 1e-6)};
                    }});
   cases.push_back({"momentum", "crumpled free flight", [=](const std::vector<SimulatorVariant>& variants) {
                      const Sheet sheet = strip(0.3, 0.3, p.garment_edge_m, Pattern::irregular);
@@ -604,12 +629,13 @@ void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                      for (int k = 0; k < 60; ++k) simulator->step(kNothing);
                      const Vec3 wanted = start + Vec3(mass.sum() * Vec3(0.0, 0.0, -kGravity));
                      const double error = (momentum(simulator->velocities()) - wanted).norm() / mass.sum();
-                     return std::vector<PhysicsRow>{row("momentum", variants[0], "1 s of free flight, speeds 1 m/s at random", "drift m/s",
-                                                        0.0, error, error, 1e-4)};
+                     return std::vector<PhysicsRow>{row("momentum", variants[0],
+                                                        "1 s of free flight, speeds 1 m/s at random", "drift m/s", 0.0,
+                                                        error, error, 1e-4)};
                    }});
   cases.push_back({"energy", "drop and crumple", [=](const std::vector<SimulatorVariant>& variants) {
-                     // A strip dropped on end: it falls, crumples, folds over itself and comes to rest. Kinetic plus potential
-                     // energy may go into the cloth and never exceeds what was there.
+                     // A strip dropped on end: it falls, crumples, folds over itself and comes to rest. Kinetic plus
+                     // potential energy may go into the cloth and never exceeds what was there.
                      Sheet sheet = strip(0.3, 0.1, p.garment_edge_m, Pattern::irregular);
                      for (Index i = 0; i < sheet.positions.rows(); ++i) {
                        const double s = sheet.flat(i, 0);
@@ -619,7 +645,8 @@ void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                      const auto simulator = variants[0].make();
                      simulator->reset(sheet.garment("dropped"), test_fabric(p), Scene());
                      const auto energy = [&] {
-                       return kinetic(mass, simulator->velocities()) + kGravity * mass.dot(Vector(simulator->positions().col(2)));
+                       return kinetic(mass, simulator->velocities()) +
+                              kGravity * mass.dot(Vector(simulator->positions().col(2)));
                      };
                      const double start = energy();
                      double worst = 0.0;
@@ -627,11 +654,12 @@ void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                        simulator->step(kNothing);
                        worst = std::max(worst, energy());
                      }
-                     return std::vector<PhysicsRow>{row("energy", variants[0], "strip dropped on end", "largest energy J", start, worst,
-                                                        worst / start - 1.0, 1e-3)};
+                     return std::vector<PhysicsRow>{row("energy", variants[0], "strip dropped on end",
+                                                        "largest energy J", start, worst, worst / start - 1.0, 1e-3)};
                    }});
   cases.push_back({"energy", "stretched release", [=](const std::vector<SimulatorVariant>& variants) {
-                     // Uniform stretch of 2 % along warp, let go in free space: kinetic energy never exceeds area K E^2/2.
+                     // Uniform stretch of 2 % along warp, let go in free space: kinetic energy never exceeds area K
+                     // E^2/2.
                      const Sheet sheet = strip(0.3, 0.3, p.garment_edge_m, Pattern::irregular);
                      const Vector mass = lumped_masses(sheet, p.density_kg_per_m2);
                      Scene scene = no_ground();
@@ -648,45 +676,47 @@ void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                        simulator->step(kNothing);
                        worst = std::max(worst, kinetic(mass, simulator->velocities()));
                      }
-                     return std::vector<PhysicsRow>{row("energy", variants[0], "stretched sheet let go", "largest kinetic energy J", start,
-                                                        worst, worst / start - 1.0, 0.02)};
+                     return std::vector<PhysicsRow>{row("energy", variants[0], "stretched sheet let go",
+                                                        "largest kinetic energy J", start, worst, worst / start - 1.0,
+                                                        0.02)};
                    }});
-  cases.push_back({"refinement", "cantilever", [=](const std::vector<SimulatorVariant>& variants) {
-                     // The same cantilever (clamp at x = 0 for every mesh) on three meshes; G = 8.
-                     const Elastica reference = kElastica[4];
-                     std::vector<PhysicsRow> rows;
-                     std::vector<double> errors;
-                     for (const double edge : {0.02, 0.01, 0.005}) {
-                       const double length = 0.1;
-                       const Sheet sheet = strip(length + 0.5 * edge, 0.04, edge, Pattern::regular);
-                       Sheet exact = sheet;
-                       // Cells of the strip are stretched a little so that half an edge lies behind the clamp.
-                       const double cells = std::round(length / edge) + 0.5, scale = length / cells;
-                       for (Index i = 0; i < exact.flat.rows(); ++i) {
-                         const double s = std::round(sheet.flat(i, 0) / (sheet.length / std::round(sheet.length / edge))) * scale;
-                         exact.flat(i, 0) = exact.rest(i, 0) = exact.positions(i, 0) = s;
-                       }
-                       exact.edge = scale;
-                       exact.length = exact.flat.col(0).maxCoeff();
-                       const double free = exact.length - 0.5 * scale;
-                       const double bend = p.density_kg_per_m2 * kGravity * std::pow(free, 3) / reference.g;
-                       Fabric fabric = test_fabric(p);
-                       set_bend(fabric, bend);
-                       const auto simulator = variants[0].make();
-                       const Vec2 tip = cantilever(*simulator, exact, fabric, bend);
-                       errors.push_back(std::hypot(tip.x() - reference.x, tip.y() - reference.drop));
-                     }
-                     for (int k = 1; k < 3; ++k)
-                       rows.push_back(row("refinement", variants[0], k == 1 ? "20 to 10 mm" : "10 to 5 mm", "error of the tip / L", errors[k - 1],
-                                          errors[k], errors[k] / errors[k - 1], 0.6, "error: ratio of the two"));
-                     return rows;
-                   }});
+  cases.push_back(
+      {"refinement", "cantilever", [=](const std::vector<SimulatorVariant>& variants) {
+         // The same cantilever (clamp at x = 0 for every mesh) on three meshes; G = 8.
+         const Elastica reference = kElastica[4];
+         std::vector<PhysicsRow> rows;
+         std::vector<double> errors;
+         for (const double edge : {0.02, 0.01, 0.005}) {
+           const double length = 0.1;
+           const Sheet sheet = strip(length + 0.5 * edge, 0.04, edge, Pattern::regular);
+           Sheet exact = sheet;
+           // Cells of the strip are stretched a little so that half an edge lies behind the clamp.
+           const double cells = std::round(length / edge) + 0.5, scale = length / cells;
+           for (Index i = 0; i < exact.flat.rows(); ++i) {
+             const double s = std::round(sheet.flat(i, 0) / (sheet.length / std::round(sheet.length / edge))) * scale;
+             exact.flat(i, 0) = exact.rest(i, 0) = exact.positions(i, 0) = s;
+           }
+           exact.edge = scale;
+           exact.length = exact.flat.col(0).maxCoeff();
+           const double free = exact.length - 0.5 * scale;
+           const double bend = p.density_kg_per_m2 * kGravity * std::pow(free, 3) / reference.g;
+           Fabric fabric = test_fabric(p);
+           set_bend(fabric, bend);
+           const auto simulator = variants[0].make();
+           const Vec2 tip = cantilever(*simulator, exact, fabric, bend);
+           errors.push_back(std::hypot(tip.x() - reference.x, tip.y() - reference.drop));
+         }
+         for (int k = 1; k < 3; ++k)
+           rows.push_back(row("refinement", variants[0], k == 1 ? "20 to 10 mm" : "10 to 5 mm", "error of the tip / L",
+                              errors[k - 1], errors[k], errors[k] / errors[k - 1], 0.6, "error: ratio of the two"));
+         return rows;
+       }});
 }
 
 }  // namespace
 
 std::vector<std::string> physics_test_names() {
-  return {"elastica", "orthotropy", "hanging",   "catenary", "incline",  "cloth on cloth", "thrown sheet",
+  return {"elastica", "orthotropy",     "hanging",   "catenary", "incline",  "cloth on cloth", "thrown sheet",
           "crease",   "garment crease", "free fall", "rest",     "momentum", "energy",         "refinement"};
 }
 
@@ -705,11 +735,13 @@ std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_
   if (params.tests.empty()) return all;
   std::vector<PhysicsCase> chosen;
   for (auto& one : all)
-    if (std::find(params.tests.begin(), params.tests.end(), one.test) != params.tests.end()) chosen.push_back(std::move(one));
+    if (std::find(params.tests.begin(), params.tests.end(), one.test) != params.tests.end())
+      chosen.push_back(std::move(one));
   return chosen;
 }
 
-std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case, const std::vector<SimulatorVariant>& variants) {
+std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case,
+                                         const std::vector<SimulatorVariant>& variants) {
   try {
     return physics_case.run(variants);
   } catch (const std::exception& error) {
@@ -721,9 +753,10 @@ std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case, const 
 
 std::string format_physics_row(const PhysicsRow& r) {
   char line[400];
-  std::snprintf(line, sizeof line, "%-4s %-15s %-8s %-46s %-22s reference %-10.5g measured %-10.5g error %-9.3g bound %-7.3g %s",
-                r.passed ? "ok" : "FAIL", r.test.c_str(), r.variant.c_str(), r.name.c_str(), r.quantity.c_str(), r.reference,
-                r.measured, r.error, r.bound, r.note.c_str());
+  std::snprintf(line, sizeof line,
+                "%-4s %-15s %-8s %-46s %-22s reference %-10.5g measured %-10.5g error %-9.3g bound %-7.3g %s",
+                r.passed ? "ok" : "FAIL", r.test.c_str(), r.variant.c_str(), r.name.c_str(), r.quantity.c_str(),
+                r.reference, r.measured, r.error, r.bound, r.note.c_str());
   return line;
 }
 

@@ -25,9 +25,9 @@ struct PhysicsRow {
   std::string quantity;  ///< what reference and measured are
   double reference = 0.0;
   double measured = 0.0;
-  double error = 0.0;    ///< as the bound counts it
+  double error = 0.0;  ///< as the bound counts it
   double bound = 0.0;
-  bool passed = false;   ///< error <= bound
+  bool passed = false;  ///< error <= bound
   std::string note;
 };
 
@@ -42,7 +42,8 @@ struct PhysicsParams {
   template <class Visitor>
   void visit(Visitor& v) {
     v("fine_edge_m", fine_edge_m, range(0.001, 0.1, "m"), "Edge length of the fine meshes.");
-    v("garment_edge_m", garment_edge_m, range(0.001, 0.1, "m"), "Edge length of the coarse meshes: that of the garments.");
+    v("garment_edge_m", garment_edge_m, range(0.001, 0.1, "m"),
+      "Edge length of the coarse meshes: that of the garments.");
     v("density_kg_per_m2", density_kg_per_m2, range(0.001, 10, "kg/m^2"), "Of the test fabric.");
     v("stretch_n_per_m", stretch_n_per_m, range(0.1, 1e6, "N/m"), "Membrane stiffness of the test fabric, both ways.");
     v("bend_n_m", bend_n_m, range(1e-9, 1, "N m"), "Bending stiffness where the test does not choose it.");
@@ -57,10 +58,12 @@ struct PhysicsCase {
   std::function<std::vector<PhysicsRow>(const std::vector<SimulatorVariant>& variants)> run;
 };
 /// @param task optional: adds the crease of a real garment's fold. @throws ConfigError for an unknown test name.
-WEFT_API std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task = nullptr);
+WEFT_API std::vector<PhysicsCase> physics_cases(const PhysicsParams& params,
+                                                std::shared_ptr<const Task> task = nullptr);
 WEFT_API std::vector<std::string> physics_test_names();
 /// Runs one case; an exception becomes a failed row.
-WEFT_API std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case, const std::vector<SimulatorVariant>& variants);
+WEFT_API std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case,
+                                                  const std::vector<SimulatorVariant>& variants);
 /// "test  case  quantity  reference  measured  error  bound  ok"
 WEFT_API std::string format_physics_row(const PhysicsRow& row);
 

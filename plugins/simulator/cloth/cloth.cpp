@@ -10,7 +10,7 @@ namespace weft::cloth {
 namespace {
 
 // Substeps in a block: between two choices of step size and of contact pairs.
-constexpr Index kBlock = 4;
+constexpr Index kBlock = 8;
 // Allowance for what a vertex may gain in speed within a block, m/s^2; a faster one ends its block early.
 constexpr float kGain = 3.0f;
 // A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
@@ -122,6 +122,7 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   state_.v_float.resize(n);
   state_.x_fixed.resize(n);
   state_.inverse_mass.resize(n);
+  state_.moved.assign(n, 0.0f);
   state_.held.reserve(64);
   for (Index i = 0; i < n; ++i) {
     const bool pinned = pinned_[i] != 0;
@@ -243,6 +244,7 @@ void Cloth::refresh_derived() {
     state_.x_fixed[i] = to_fixed(load(state_.x[i]), per_unit);
     const Double4& v = state_.v[i];
     state_.v_float[i] = {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z), 0.0f};
+    state_.moved[i] = static_cast<float>(longest_step_ * std::sqrt(v.x * v.x + v.y * v.y + v.z * v.z));
   }
 }
 
@@ -256,8 +258,9 @@ void Cloth::publish() {
 
 void Cloth::step(const Positions& grasp_targets) {
   require_ready("step");
-  require_shape("cloth: step: rows of grasp_targets", grasp_targets.rows(),
-                static_cast<std::ptrdiff_t>(state_.held.size()));
+  if (grasp_targets.rows() != static_cast<Index>(state_.held.size()))  // else its message is allocated in every frame
+    require_shape("cloth: step: rows of grasp_targets", grasp_targets.rows(),
+                  static_cast<std::ptrdiff_t>(state_.held.size()));
   if (!grasp_targets.allFinite()) throw Error("cloth: step: grasp_targets are not finite");
   target_.resize(state_.held.size());
   for (std::size_t k = 0; k < state_.held.size(); ++k) {
@@ -331,10 +334,10 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
     if (!std::isfinite(sum)) diverged("speeds are not finite");
     if (params_.self_contact) {
       SelfContact::State& contact = state_.contact;
-      contact_->prepare(contact, state_.x.data(), state_.v.data(), state_.x_fixed.data(), elements_->unit(), block_seconds);
+      contact_->prepare(contact, state_.x.data(), state_.v.data(), state_.x_fixed.data(), elements_->unit(),
+                        block_seconds);
       for (std::int32_t i = 0; i < n; ++i) bound_[i] = contact.path[i] + reach_[i];
-      contact_->activate(contact, state_.x_fixed.data(), elements_->unit(), bound_.data(), state_.inverse_mass.data(),
-                         static_cast<float>(dt), block_seconds);
+      contact_->select(contact, bound_.data());
     }
     for (Index k = 0; k < block; ++k) {
       const bool last = last_substeps_ >= 0 && k + 1 == left;
@@ -344,7 +347,6 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
       ++last_substeps_;
       if (excess > 0.0) break;
     }
-    if (params_.self_contact) contact_->remember(state_.contact);
     if (last_substeps_ > 4 * params_.max_substeps) diverged("no progress");
   }
   double sum = 0.0;
@@ -364,9 +366,11 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
   const auto n = static_cast<std::int32_t>(state_.x.size());
   std::fill(forces_.begin(), forces_.end(), Float4{});
   state_.stiffening = elements_->add_forces(state_.x_fixed.data(), state_.v_float.data(), forces_.data());
-  if (params_.self_contact)
-    contact_->add_forces(state_.contact, state_.x_fixed.data(), state_.v_float.data(), elements_->unit(),
-                         static_cast<float>(dt), forces_.data());
+  if (params_.self_contact) {
+    contact_->activate(state_.contact, state_.x_fixed.data(), elements_->unit(), state_.moved.data(),
+                       state_.inverse_mass.data(), static_cast<float>(dt), static_cast<float>(longest_step_));
+    contact_->add_forces(state_.contact, state_.v_float.data(), static_cast<float>(dt), forces_.data());
+  }
 
   const __m256d gravity =
       _mm256_setr_pd(dt * scene_.gravity.x(), dt * scene_.gravity.y(), dt * scene_.gravity.z(), 0.0);
@@ -378,9 +382,8 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     const __m256d gain = _mm256_fmadd_pd(f, _mm256_set1_pd(dt * static_cast<double>(w)), gravity);
     store(state_.v[i], _mm256_mul_pd(_mm256_add_pd(load(state_.v[i]), gain), keep));
   }
-  if (!state_.contact.fast.empty())
-    contact_->stop(state_.contact, state_.x.data(), state_.x_fixed.data(), elements_->unit(), dt, floor_,
-                   state_.inverse_mass.data(), state_.v.data());
+  if (params_.self_contact && contact_->has_fast())
+    contact_->stop(state_.x.data(), dt, floor_, state_.inverse_mass.data(), state_.v.data());
 
   // Ground, then move. The normal impulse is what keeps the vertex from going below; the tangential one is at most mu
   // times it, against the motion, and takes all of it where it can: sticking is exactly at rest.
@@ -415,7 +418,9 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     _mm_store_ps(&state_.v_float[i].x, vf);
     state_.x_fixed[i] = to_fixed(load(x), per_unit);
     float& path = contact.path[i];
-    path += dt_float * _mm_cvtss_f32(_mm_sqrt_ss(_mm_dp_ps(vf, vf, 0x71)));
+    const float moved = dt_float * _mm_cvtss_f32(_mm_sqrt_ss(_mm_dp_ps(vf, vf, 0x71)));
+    state_.moved[i] = moved;
+    path += moved;
     excess = std::max(excess, path - bound[i]);
     const __m256d straight = _mm256_fmadd_pd(load(contact.drift[i]), elapsed, load(contact.start[i]));
     const __m128 off = _mm256_cvtpd_ps(_mm256_sub_pd(load(x), straight));

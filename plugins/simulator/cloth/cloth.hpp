@@ -46,6 +46,7 @@ class Cloth final : public Simulator {
     std::vector<Float4> v_float;      ///< v, as the forces read it
     std::vector<Fixed4> x_fixed;      ///< x, as the forces read it
     std::vector<float> inverse_mass;  ///< 1/kg, zero for held and pinned vertices
+    std::vector<float> moved;         ///< m, in the last substep
     std::vector<std::int32_t> held;   ///< in step()'s order
     SelfContact::State contact;
     float stiffening = 1.0f;  ///< largest squared stretch in the last substep

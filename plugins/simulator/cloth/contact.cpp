@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <limits>
 
 namespace weft::cloth {
 namespace {
@@ -11,23 +12,23 @@ namespace {
 // elements take 4 * 0.75^2 = 2.25 at the default step_safety.
 constexpr float kSpring = 0.5f;
 constexpr float kDashpot = 0.55f;
-// A vertex counts as if it carried at least this sum of |weight| (two layers give 2 to 4), and only pairs that touch count:
-// pairs which come and go must not change the stiffness of the others. When fast approach brought in more pairs, springs
-// were softer while compressed than while released, and resting layers bounced for ever.
+// A vertex counts as if it carried at least this sum of |weight| (two layers give 2 to 4), and only pairs that touch
+// count: pairs which come and go must not change the stiffness of the others. When fast approach brought in more pairs,
+// springs were softer while compressed than while released, and resting layers bounced for ever.
 constexpr float kLeastLoad = 6.0f;
 // A pair pressed deeper than this part of its distance yields (keeps the gap it has) ...
 constexpr float kYield = 0.25f;
-// ... and recovers at this speed, m/s, so that separating layers gain no energy worth naming. (0.02 kept some folds from
-// settling below 5 mm/s.)
+// ... and recovers at this speed, m/s, so that separating layers gain no energy worth naming. (0.02 kept some folds
+// from settling below 5 mm/s.)
 constexpr float kRecovery = 0.003f;
 // Edge pairs act at a smaller distance than vertices: in flat layers vertex-triangle pairs carry the load alone.
 constexpr float kEdgePart = 0.8f;
 
 struct Measured {
-  F8 distance;     // m, negative: on the wrong side
+  F8 distance;  // m, negative: on the wrong side
   Vec8 normal;
   F8 weight[4];
-  F8 inside;       // mask: closest points are interior to both primitives
+  F8 inside;  // mask: closest points are interior to both primitives
 };
 
 inline Vec8 scaled(const Vec8& a, float s) { return splat(s) * a; }
@@ -36,7 +37,8 @@ Vec8 unit_vector(const Vec8& r, F8 length) { return (splat(1.0f) / max8(length, 
 
 /// Vertex against triangle; Ericson (2005, sec. 5.1.5) without branches: the interior projection where it exists, else
 /// the nearest of the three edges.
-Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac, const Vec8& memory, F8 known, F8 reach) {
+Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac, const Vec8& memory, F8 known,
+                                 F8 reach) {
   const F8 zero = splat(0.0f), one = splat(1.0f);
   const F8 d00 = dot(ab, ab), d01 = dot(ab, ac), d11 = dot(ac, ac), d20 = dot(ap, ab), d21 = dot(ap, ac);
   const F8 denominator = max8(d00 * d11 - d01 * d01, splat(1e-30f));
@@ -53,9 +55,11 @@ Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac,
   Vec8 r = r1;
   const F8 q2 = dot(r2, r2), q3 = dot(r3, r3);
   F8 closer = less(q2, best);
-  best = select(closer, q2, best), eb = select(closer, zero, eb), ec = select(closer, t2, ec), r = select(closer, r2, r);
+  best = select(closer, q2, best), eb = select(closer, zero, eb), ec = select(closer, t2, ec),
+  r = select(closer, r2, r);
   closer = less(q3, best);
-  best = select(closer, q3, best), eb = select(closer, one - t3, eb), ec = select(closer, t3, ec), r = select(closer, r3, r);
+  best = select(closer, q3, best), eb = select(closer, one - t3, eb), ec = select(closer, t3, ec),
+  r = select(closer, r3, r);
   const F8 outside_distance = _mm256_sqrt_ps(best);
 
   Vec8 n = cross(ab, ac);
@@ -160,7 +164,8 @@ inline std::uint64_t key_of(const std::int32_t (&v)[4], bool edges) {
   return h;
 }
 
-double segment_distance2(const std::array<double, 2>& p, const std::array<double, 2>& a, const std::array<double, 2>& b) {
+double segment_distance2(const std::array<double, 2>& p, const std::array<double, 2>& a,
+                         const std::array<double, 2>& b) {
   const double ux = b[0] - a[0], uy = b[1] - a[1], px = p[0] - a[0], py = p[1] - a[1];
   const double t = std::clamp((px * ux + py * uy) / (ux * ux + uy * uy), 0.0, 1.0);
   const double dx = px - t * ux, dy = py - t * uy;
@@ -189,10 +194,11 @@ void SelfContact::make_patches() {
     for (const std::int32_t v : topology_->faces[f]) sum += topology_->rest[v][axis];
     return sum;
   };
-  std::stable_sort(order.begin(), order.end(), [&](std::int32_t f, std::int32_t g) { return component(f) < component(g); });
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::int32_t f, std::int32_t g) { return component(f) < component(g); });
 
   std::vector<std::uint8_t> vertex_taken(topology_->vertices, 0), edge_taken(topology_->edges.size(), 0);
-  const auto emit = [](std::vector<BoxBlock>& blocks, const std::vector<std::int32_t>& ids, std::int32_t (&range)[2]) {
+  const auto emit = [](std::vector<BoxBlock>& blocks, const std::vector<std::int32_t>& ids, std::int32_t(&range)[2]) {
     range[0] = static_cast<std::int32_t>(blocks.size());
     for (std::size_t k = 0; k < ids.size(); ++k) {
       if (k % 8 == 0) {
@@ -216,8 +222,8 @@ void SelfContact::make_patches() {
           const std::int32_t v = topology_->faces[f][k], w = topology_->faces[f][(k + 1) % 3];
           if (!vertex_taken[v]) vertex_taken[v] = 1, vertices.push_back(v);
           const std::array<std::int32_t, 2> edge{std::min(v, w), std::max(v, w)};
-          const auto at = static_cast<std::int32_t>(std::lower_bound(topology_->edges.begin(), topology_->edges.end(), edge) -
-                                                    topology_->edges.begin());
+          const auto at = static_cast<std::int32_t>(
+              std::lower_bound(topology_->edges.begin(), topology_->edges.end(), edge) - topology_->edges.begin());
           if (!edge_taken[at]) edge_taken[at] = 1, edges.push_back(at);
         }
       }
@@ -239,10 +245,11 @@ void SelfContact::make_patches() {
     // Whole patches of eight on the left, so that few lanes stay empty.
     const std::int32_t half = ((end - begin) / 2 + 7) / 8 * 8;
     const std::int32_t middle = begin + std::min(half, end - begin - 1);
-    std::nth_element(order.begin() + begin, order.begin() + middle, order.begin() + end, [&](std::int32_t f, std::int32_t g) {
-      const double p = centre(f, axis), q = centre(g, axis);
-      return p != q ? p < q : f < g;
-    });
+    std::nth_element(order.begin() + begin, order.begin() + middle, order.begin() + end,
+                     [&](std::int32_t f, std::int32_t g) {
+                       const double p = centre(f, axis), q = centre(g, axis);
+                       return p != q ? p < q : f < g;
+                     });
     const std::int32_t left = self(self, begin, middle);
     const std::int32_t right = self(self, middle, end);
     nodes[node].left = left, nodes[node].right = right;
@@ -291,7 +298,8 @@ bool SelfContact::nearly_convex(const std::vector<std::int32_t>& faces) const {
     std::reverse(points.begin(), points.end());
   }
   double hull_area = 0.0;
-  for (std::size_t k = 0; k < hull.size(); ++k) hull_area += 0.5 * turn({0.0, 0.0}, hull[k], hull[(k + 1) % hull.size()]);
+  for (std::size_t k = 0; k < hull.size(); ++k)
+    hull_area += 0.5 * turn({0.0, 0.0}, hull[k], hull[(k + 1) % hull.size()]);
   if (area < 0.85 * hull_area) return false;
   const double near = 0.5 * topology_->max_edge;
   std::vector<std::int32_t> sorted(faces), seen(faces.size(), 0), stack{0};
@@ -299,7 +307,8 @@ bool SelfContact::nearly_convex(const std::vector<std::int32_t>& faces) const {
   for (const std::int32_t f : faces)
     for (int k = 0; k < 3; ++k) {
       if (topology_->opposite[f][k] >= 0) continue;
-      const Point &a = topology_->rest[topology_->faces[f][(k + 1) % 3]], &b = topology_->rest[topology_->faces[f][(k + 2) % 3]];
+      const Point &a = topology_->rest[topology_->faces[f][(k + 1) % 3]],
+                  &b = topology_->rest[topology_->faces[f][(k + 2) % 3]];
       const Point middle{0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])};
       double best = 1e300;
       for (std::size_t j = 0; j < hull.size(); ++j)
@@ -315,7 +324,8 @@ bool SelfContact::nearly_convex(const std::vector<std::int32_t>& faces) const {
     for (const std::int32_t v : topology_->faces[f])
       for (std::int32_t k = topology_->face_of_vertex_start[v]; k < topology_->face_of_vertex_start[v + 1]; ++k) {
         const auto at = std::lower_bound(sorted.begin(), sorted.end(), topology_->face_of_vertex[k]) - sorted.begin();
-        if (at == static_cast<std::ptrdiff_t>(sorted.size()) || sorted[at] != topology_->face_of_vertex[k] || seen[at]) continue;
+        if (at == static_cast<std::ptrdiff_t>(sorted.size()) || sorted[at] != topology_->face_of_vertex[k] || seen[at])
+          continue;
         seen[at] = 1;
         ++reached;
         stack.push_back(static_cast<std::int32_t>(at));
@@ -334,12 +344,12 @@ void SelfContact::clear(State& state) const {
   state.valid = false;
   state.vertex_triangle.clear();
   state.edge_edge.clear();
-  state.active.clear();
   state.vertex_triangle.reserve(16 * n);
   state.edge_edge.reserve(32 * n);
-  state.active.reserve(16 * n);
-  state.fast.clear();
-  state.fast.reserve(16 * n);
+  scratch_.active.reserve(16 * n);
+  scratch_.soon_faces.reserve(16 * n);
+  scratch_.soon_edges.reserve(32 * n);
+  scratch_.fast.reserve(16 * n);
   state.path.assign(n, 0.0f);
   state.start.assign(n, Double4{});
   state.drift.assign(n, Double4{});
@@ -374,18 +384,22 @@ float SelfContact::pair_distance(const std::int32_t (&v)[4], bool edges) const {
   }
   double d2;
   if (edges) {
-    d2 = std::min(std::min(segment_distance2(rest[v[0]], rest[v[2]], rest[v[3]]), segment_distance2(rest[v[1]], rest[v[2]], rest[v[3]])),
-                  std::min(segment_distance2(rest[v[2]], rest[v[0]], rest[v[1]]), segment_distance2(rest[v[3]], rest[v[0]], rest[v[1]])));
+    d2 = std::min(std::min(segment_distance2(rest[v[0]], rest[v[2]], rest[v[3]]),
+                           segment_distance2(rest[v[1]], rest[v[2]], rest[v[3]])),
+                  std::min(segment_distance2(rest[v[2]], rest[v[0]], rest[v[1]]),
+                           segment_distance2(rest[v[3]], rest[v[0]], rest[v[1]])));
   } else {
     d2 = std::min(segment_distance2(rest[v[0]], rest[v[1]], rest[v[2]]),
-                  std::min(segment_distance2(rest[v[0]], rest[v[2]], rest[v[3]]), segment_distance2(rest[v[0]], rest[v[1]], rest[v[3]])));
+                  std::min(segment_distance2(rest[v[0]], rest[v[2]], rest[v[3]]),
+                           segment_distance2(rest[v[0]], rest[v[1]], rest[v[3]])));
   }
   return std::min(full, static_cast<float>(0.7 * std::sqrt(d2)));
 }
 
-/// Whether a vertex whose nearest point of a triangle lies on its border has a nearer point beyond that border: over the
-/// next triangle, which is a pair of its own. Such a pair must not act. Its direction leans back while the vertex nears the
-/// border and forward after it, and with the dashpot that would brake sliding layers (by 20 % of the acceleration at 1 m/s).
+/// Whether a vertex whose nearest point of a triangle lies on its border has a nearer point beyond that border: over
+/// the next triangle, which is a pair of its own. Such a pair must not act. Its direction leans back while the vertex
+/// nears the border and forward after it, and with the dashpot that would brake sliding layers (by 20 % of the
+/// acceleration at 1 m/s).
 bool SelfContact::elsewhere(const Candidate& pair, const float (&weight)[4], const Fixed4* fixed) const {
   struct Vec {
     float x, y, z;
@@ -393,7 +407,8 @@ bool SelfContact::elsewhere(const Candidate& pair, const float (&weight)[4], con
   };
   const auto from = [&](std::int32_t a, std::int32_t b) {  // in fixed-point units
     const auto diff = [](std::int32_t s, std::int32_t t) {
-      return static_cast<float>(static_cast<std::int32_t>(static_cast<std::uint32_t>(s) - static_cast<std::uint32_t>(t)));
+      return static_cast<float>(
+          static_cast<std::int32_t>(static_cast<std::uint32_t>(s) - static_cast<std::uint32_t>(t)));
     };
     const Fixed4 &p = fixed[a], &q = fixed[b];
     return Vec{diff(q.x, p.x), diff(q.y, p.y), diff(q.z, p.z)};
@@ -416,7 +431,8 @@ bool SelfContact::elsewhere(const Candidate& pair, const float (&weight)[4], con
   if (zeros == 2) {
     const std::int32_t corner = pair.v[1 + one];
     const Vec p = from(corner, pair.v[0]);
-    for (std::int32_t k = topology_->face_of_vertex_start[corner]; k < topology_->face_of_vertex_start[corner + 1]; ++k) {
+    for (std::int32_t k = topology_->face_of_vertex_start[corner]; k < topology_->face_of_vertex_start[corner + 1];
+         ++k) {
       const auto& face = topology_->faces[topology_->face_of_vertex[k]];
       if (face[0] == pair.v[0] || face[1] == pair.v[0] || face[2] == pair.v[0]) continue;
       for (const std::int32_t other : face)
@@ -431,7 +447,8 @@ void SelfContact::prepare(State& state, const Double4* x, const Double4* v, cons
   if (!state.valid || state.elapsed + block_seconds > state.horizon) find_candidates(state, x, v, fixed, unit);
 }
 
-void SelfContact::find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit) const {
+void SelfContact::find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed,
+                                  double unit) const {
   const std::int32_t n = topology_->vertices;
   // Old memory by key, open addressing. Only pairs whose side or slip is known matter.
   std::vector<std::int32_t>& table = scratch_.table;
@@ -440,10 +457,9 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
   for (const auto* list : {&state.vertex_triangle, &state.edge_edge})
     for (const Candidate& c : *list)
       if (c.normal[0] != 0.0f || c.normal[1] != 0.0f || c.normal[2] != 0.0f) old.push_back(c);
-  const std::size_t old_vertex_triangle = static_cast<std::size_t>(
-      std::count_if(state.vertex_triangle.begin(), state.vertex_triangle.end(), [](const Candidate& c) {
-        return c.normal[0] != 0.0f || c.normal[1] != 0.0f || c.normal[2] != 0.0f;
-      }));
+  const std::size_t old_vertex_triangle = static_cast<std::size_t>(std::count_if(
+      state.vertex_triangle.begin(), state.vertex_triangle.end(),
+      [](const Candidate& c) { return c.normal[0] != 0.0f || c.normal[1] != 0.0f || c.normal[2] != 0.0f; }));
   std::size_t size = 64;
   while (size < 2 * old.size()) size *= 2;
   table.assign(size, -1);
@@ -456,10 +472,12 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     std::size_t at = key_of(c.v, edges) & (size - 1);
     while (table[at] >= 0) {
       const Candidate& o = old[table[at]];
-      if ((static_cast<std::size_t>(table[at]) >= old_vertex_triangle) == edges && std::memcmp(o.v, c.v, sizeof c.v) == 0) {
+      if ((static_cast<std::size_t>(table[at]) >= old_vertex_triangle) == edges &&
+          std::memcmp(o.v, c.v, sizeof c.v) == 0) {
         std::memcpy(c.normal, o.normal, sizeof c.normal);
         std::memcpy(c.slip, o.slip, sizeof c.slip);
         c.present = o.present;
+        c.mass = o.mass;
         return;
       }
       at = (at + 1) & (size - 1);
@@ -480,9 +498,11 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
   const auto horizon = static_cast<float>(state.horizon);
   std::vector<Float4>&position = scratch_.position, &later = scratch_.later, &drift = scratch_.drift;
   for (std::int32_t i = 0; i < n; ++i) {
-    position[i] = {static_cast<float>(x[i].x - low[0]), static_cast<float>(x[i].y - low[1]), static_cast<float>(x[i].z - low[2]), 0.0f};
+    position[i] = {static_cast<float>(x[i].x - low[0]), static_cast<float>(x[i].y - low[1]),
+                   static_cast<float>(x[i].z - low[2]), 0.0f};
     drift[i] = {static_cast<float>(v[i].x), static_cast<float>(v[i].y), static_cast<float>(v[i].z), 0.0f};
-    later[i] = {position[i].x + horizon * drift[i].x, position[i].y + horizon * drift[i].y, position[i].z + horizon * drift[i].z, 0.0f};
+    later[i] = {position[i].x + horizon * drift[i].x, position[i].y + horizon * drift[i].y,
+                position[i].z + horizon * drift[i].z, 0.0f};
   }
   const auto parting = [&](std::int32_t i, std::int32_t j) {  // m/s, relative speed squared
     const float a = drift[i].x - drift[j].x, b = drift[i].y - drift[j].y, c = drift[i].z - drift[j].z;
@@ -494,7 +514,8 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
   pending_faces.clear();
   pending_edges.clear();
   const float unit_f = static_cast<float>(unit);
-  // Measures the pending pairs and keeps those that can touch. Their due is 0: activate() measures them with their memory.
+  // Measures the pending pairs and keeps those that can touch. Their due is 0: activate() measures them with their
+  // memory.
   const auto keep = [&](std::vector<Candidate>& out, auto edges, std::size_t least) {
     constexpr bool kEdges = decltype(edges)::value;
     std::vector<Candidate>& pending = kEdges ? pending_edges : pending_faces;
@@ -515,6 +536,7 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
         }
         c.distance = pair_distance(c.v, kEdges);
         c.present = -1.0f;
+        c.mass = std::numeric_limits<float>::infinity();
         recall(c, kEdges);
         out.push_back(c);
       }
@@ -522,8 +544,8 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     pending.clear();
   };
 
-
-  // Boxes around now and later, grown by slack and half the thickness: pairs whose boxes meet can come within thickness.
+  // Boxes around now and later, grown by slack and half the thickness: pairs whose boxes meet can come within
+  // thickness.
   const __m128 grown = _mm_set1_ps(slack_ + 0.5f * thickness_);
   const auto fill = [&](std::vector<BoxBlock>& blocks, auto&& corners) {
     for (BoxBlock& block : blocks) {
@@ -596,7 +618,8 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
             return (s.x - t.x) * (s.x - t.x) + (s.y - t.y) * (s.y - t.y) + (s.z - t.z) * (s.z - t.z);
           };
           const float longest = std::sqrt(std::max(square(p, q), std::max(square(q, r), square(r, p))));
-          const float parted = std::sqrt(std::max(parting(face[0], face[1]), std::max(parting(face[1], face[2]), parting(face[2], face[0]))));
+          const float parted = std::sqrt(
+              std::max(parting(face[0], face[1]), std::max(parting(face[1], face[2]), parting(face[2], face[0]))));
           turning = std::max(turning, (parted * horizon + 2.0f * slack_) * longest / twice_area);
           sum.x += m[0], sum.y += m[1], sum.z += m[2];
         }
@@ -604,12 +627,14 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
       node.axis[0] = sum.x * scale, node.axis[1] = sum.y * scale, node.axis[2] = sum.z * scale;
       float least = 1.0f;
       for (int k = 0; k < count; ++k)
-        least = std::min(least, normals[k][0] * node.axis[0] + normals[k][1] * node.axis[1] + normals[k][2] * node.axis[2]);
+        least =
+            std::min(least, normals[k][0] * node.axis[0] + normals[k][1] * node.axis[1] + normals[k][2] * node.axis[2]);
       node.angle = std::acos(std::max(least, -1.0f)) + turning;
     } else {
       const Node &l = nodes[node.left], &r = nodes[node.right];
       const Float4 &sl = scratch_.sums[node.left], &sr = scratch_.sums[node.right];
-      for (int k = 0; k < 3; ++k) node.low[k] = std::min(l.low[k], r.low[k]), node.high[k] = std::max(l.high[k], r.high[k]);
+      for (int k = 0; k < 3; ++k)
+        node.low[k] = std::min(l.low[k], r.low[k]), node.high[k] = std::max(l.high[k], r.high[k]);
       sum = {sl.x + sr.x, sl.y + sr.y, sl.z + sr.z, 0.0f};
       const float scale = 1.0f / std::max(1e-20f, std::sqrt(sum.x * sum.x + sum.y * sum.y + sum.z * sum.z));
       node.axis[0] = sum.x * scale, node.axis[1] = sum.y * scale, node.axis[2] = sum.z * scale;
@@ -658,7 +683,9 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
           each_lane(meet(box, scratch_.edges[c]), [&](int other) {
             const std::int32_t g = scratch_.edges[c].id[other];
             const auto& rival = topology_->edges[g];
-            if ((same && g <= e) || edge[0] == rival[0] || edge[0] == rival[1] || edge[1] == rival[0] || edge[1] == rival[1]) return;
+            if ((same && g <= e) || edge[0] == rival[0] || edge[0] == rival[1] || edge[1] == rival[0] ||
+                edge[1] == rival[1])
+              return;
             Candidate candidate{};
             candidate.face = -1;
             const bool swap = g < e;  // one order for a pair, so that its memory is found again
@@ -691,7 +718,8 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     if (a.patch >= 0 && b.patch >= 0) return leaves(a, b, false);
     const auto extent = [](const Node& node) {
       return node.patch >= 0 ? -1.0f
-                             : std::max(node.high[0] - node.low[0], std::max(node.high[1] - node.low[1], node.high[2] - node.low[2]));
+                             : std::max(node.high[0] - node.low[0],
+                                        std::max(node.high[1] - node.low[1], node.high[2] - node.low[2]));
     };
     if (extent(a) >= extent(b)) {
       self(self, a.left, j);
@@ -715,126 +743,135 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
   state.valid = true;
 }
 
-void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const float* bound, const float* inverse_mass,
-                           float dt, float block_seconds) const {
-  state.active.clear();
-  state.fast.clear();
+void SelfContact::select(State& state, const float* bound) const {
+  const auto choose = [&](std::vector<Candidate>& list, std::vector<std::int32_t>& soon) {
+    soon.clear();
+    for (std::size_t k = 0; k < list.size(); ++k) {
+      Candidate& c = list[k];
+      const float bounds = (bound[c.v[0]] + bound[c.v[1]]) + (bound[c.v[2]] + bound[c.v[3]]);
+      if (bounds >= c.due)
+        soon.push_back(static_cast<std::int32_t>(k));
+      else if (c.present >= 0.0f)
+        let_go(c);
+    }
+  };
+  choose(state.vertex_triangle, scratch_.soon_faces);
+  choose(state.edge_edge, scratch_.soon_edges);
+}
+
+void SelfContact::let_go(Candidate& c) {
+  for (float& s : c.slip) s = 0.0f;
+  c.present = -1.0f;
+  c.mass = std::numeric_limits<float>::infinity();
+}
+
+void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const float* moved,
+                           const float* inverse_mass, float dt, float longest) const {
+  std::vector<Active>& active = scratch_.active;
+  std::vector<std::int32_t>& fast = scratch_.fast;
+  active.clear();
+  fast.clear();
   const float unit_f = static_cast<float>(unit);
   const float* path = state.path.data();
-  const auto choose = [&](std::vector<Candidate>& list, std::int32_t offset, auto edges) {
+  const auto choose = [&](std::vector<Candidate>& list, const std::vector<std::int32_t>& soon, auto edges) {
     constexpr bool kEdges = decltype(edges)::value;
     const Candidate* group[8];
-    int lanes = 0;
-    const auto flush = [&] {
-      if (lanes == 0) return;
+    for (std::size_t first = 0; first < soon.size(); first += 8) {
+      const int lanes = static_cast<int>(std::min<std::size_t>(8, soon.size() - first));
+      for (int lane = 0; lane < lanes; ++lane) group[lane] = &list[soon[first + lane]];
       const Stored m(measure<kEdges>(group, lanes, fixed, unit_f));
       for (int lane = 0; lane < lanes; ++lane) {
-        Candidate& c = list[group[lane] - list.data()];
-        const float paths = (path[c.v[0]] + path[c.v[1]]) + (path[c.v[2]] + path[c.v[3]]);
-        const float bounds = (bound[c.v[0]] + bound[c.v[1]]) + (bound[c.v[2]] + bound[c.v[3]]);
+        Candidate& c = list[soon[first + lane]];
         const float gap = m.distance[lane];
-        c.due = paths + (gap - c.distance);
-        // Remember the side only from where it is certain; a new pair takes it from the geometry.
+        c.due = (path[c.v[0]] + path[c.v[1]]) + (path[c.v[2]] + path[c.v[3]]) + (gap - c.distance);
         for (int k = 0; k < 3; ++k) c.normal[k] = m.normal[k][lane];
-        bool near = bounds >= c.due;
+        // What the next step can close: twice the last one's motion, and a little for rest.
+        const float closing =
+            2.0f * ((moved[c.v[0]] + moved[c.v[1]]) + (moved[c.v[2]] + moved[c.v[3]])) + 0.02f * c.distance;
+        bool near = gap < c.distance + closing;
         if (near && m.inside[lane] == 0.0f) {
           const float weight[4] = {m.weight[0][lane], m.weight[1][lane], m.weight[2][lane], m.weight[3][lane]};
           near = !kEdges && !elsewhere(c, weight, fixed);
         }
         if (!near) {
-          for (float& s : c.slip) s = 0.0f;
-          c.present = -1.0f;
+          if (c.present >= 0.0f) let_go(c);
           continue;
         }
-        // A pair that starts out closer than its distance (a state that was set so; a vertex that crossed over from the next
-        // triangle) must not push at once: that would be energy from nothing, and kept creases buzzing. It starts without force.
-        if (c.present < 0.0f)
-          c.present = std::max(gap, 0.0f);
-        else
-          c.present += kRecovery * block_seconds;
+        // A pair that starts out closer than its distance (a state that was set so; a vertex that crossed over from the
+        // next triangle) must not push at once: that would be energy from nothing, and kept creases buzzing. It starts
+        // without force.
+        c.present = c.present < 0.0f ? std::max(gap, 0.0f) : c.present + kRecovery * dt;
         c.present = std::min(c.present, c.distance);
         c.present = std::min(c.present, std::max(gap, 0.0f) + kYield * c.distance);
         Active a;
-        float along = 0.0f;
-        for (int k = 0; k < 3; ++k) along += c.slip[k] * c.normal[k];
-        for (int k = 0; k < 3; ++k) a.slip[k] = c.slip[k] - along * c.normal[k];
-        for (int k = 0; k < 4; ++k) {
-          a.v[k] = c.v[k];
-          a.weight[k] = m.weight[k][lane];
-        }
-        for (int k = 0; k < 3; ++k) a.normal[k] = c.normal[k];
-        a.distance = c.present;
+        a.gap = gap;
         a.least = 0.5f * c.distance;
-        a.touching = gap < a.distance;
-        if (gap - a.least < bounds - paths) state.fast.push_back(static_cast<std::int32_t>(state.active.size()));
-        a.candidate = offset + static_cast<std::int32_t>(&c - list.data());
-        state.active.push_back(a);
+        a.depth = c.present - gap;
+        if (gap - a.least < closing)
+          fast.push_back(static_cast<std::int32_t>(active.size()));
+        else if (a.depth <= 0.0f)
+          continue;
+        a.candidate = &c;
+        for (int k = 0; k < 4; ++k) a.v[k] = c.v[k], a.weight[k] = m.weight[k][lane];
+        active.push_back(a);
       }
-      lanes = 0;
-    };
-    for (Candidate& c : list) {
-      const float bounds = (bound[c.v[0]] + bound[c.v[1]]) + (bound[c.v[2]] + bound[c.v[3]]);
-      if (bounds < c.due) continue;
-      group[lanes++] = &c;
-      if (lanes == 8) flush();
     }
-    flush();
   };
-  choose(state.vertex_triangle, 0, std::false_type{});
-  choose(state.edge_edge, static_cast<std::int32_t>(state.vertex_triangle.size()), std::true_type{});
+  choose(state.vertex_triangle, scratch_.soon_faces, std::false_type{});
+  choose(state.edge_edge, scratch_.soon_edges, std::true_type{});
 
   // Stiffness: Gershgorin over the pairs that share a vertex. With k_p = s min_i m_i / (2 W_i dt^2), W_i the sum of
   // |weight| of vertex i over its pairs, the rows of dt^2 M^-1 sum_p k_p g_p g_p^T sum to at most s.
   std::vector<float>& load = scratch_.load;
   load.assign(static_cast<std::size_t>(topology_->vertices), 0.0f);
-  for (const Active& a : state.active)
-    if (a.touching)
+  for (const Active& a : active)
+    if (a.depth > 0.0f)
       for (int k = 0; k < 4; ++k) load[a.v[k]] += std::abs(a.weight[k]);
-  const float per_dt2 = 1.0f / (dt * dt);
-  for (Active& a : state.active) {
+  // A spring may become softer while it is compressed, never stiffer, and does not follow the varying step: anything
+  // else would be a pump.
+  const float per_dt = 1.0f / longest;
+  for (Active& a : active) {
     float worst = 0.0f;
-    for (int k = 0; k < 4; ++k) worst = std::max(worst, 2.0f * std::max(load[a.v[k]], kLeastLoad) * inverse_mass[a.v[k]]);
+    for (int k = 0; k < 4; ++k)
+      worst = std::max(worst, 2.0f * std::max(load[a.v[k]], kLeastLoad) * inverse_mass[a.v[k]]);
     const float mass = worst > 0.0f ? 1.0f / worst : 0.0f;
-    a.stiffness = kSpring * mass * per_dt2;
-    a.damping = kDashpot * mass / dt;
+    Candidate& c = *a.candidate;
+    c.mass = a.depth > 0.0f ? std::min(c.mass, mass) : mass;
+    a.stiffness = kSpring * c.mass * per_dt * per_dt;
+    a.damping = kDashpot * c.mass * per_dt;
   }
 }
 
-void SelfContact::add_forces(State& state, const Fixed4* fixed, const Float4* v, double unit, float dt, Float4* forces) const {
-  const __m128 scale = _mm_set1_ps(static_cast<float>(unit));
+void SelfContact::add_forces(State& state, const Float4* v, float dt, Float4* forces) const {
   std::int64_t touching = 0;
-  for (std::size_t index = 0; index < state.active.size(); ++index) {
-    Active& a = state.active[index];
-    const auto position = [&](int k) { return _mm_load_si128(reinterpret_cast<const __m128i*>(fixed + a.v[k])); };
-    const auto velocity = [&](int k) { return _mm_load_ps(&v[a.v[k]].x); };
-    const __m128i p0 = position(0);
-    __m128 r = _mm_mul_ps(_mm_set1_ps(a.weight[1]), _mm_cvtepi32_ps(_mm_sub_epi32(position(1), p0)));
-    r = _mm_fmadd_ps(_mm_set1_ps(a.weight[2]), _mm_cvtepi32_ps(_mm_sub_epi32(position(2), p0)), r);
-    r = _mm_fmadd_ps(_mm_set1_ps(a.weight[3]), _mm_cvtepi32_ps(_mm_sub_epi32(position(3), p0)), r);
-    __m128 u = _mm_mul_ps(_mm_set1_ps(a.weight[0]), velocity(0));
-    for (int k = 1; k < 4; ++k) u = _mm_fmadd_ps(_mm_set1_ps(a.weight[k]), velocity(k), u);
-    const __m128 n = _mm_setr_ps(a.normal[0], a.normal[1], a.normal[2], 0.0f);
-    const float gap = _mm_cvtss_f32(_mm_dp_ps(_mm_mul_ps(r, scale), n, 0x71));
-    const float approach = _mm_cvtss_f32(_mm_dp_ps(u, n, 0x71));
-    if (gap >= a.distance) {
-      a.slip[0] = a.slip[1] = a.slip[2] = 0.0f;
+  for (const Active& a : scratch_.active) {
+    Candidate& c = *a.candidate;
+    if (a.depth <= 0.0f) {
+      for (float& s : c.slip) s = 0.0f;
       continue;
     }
-    const float normal_force = std::max(0.0f, a.stiffness * (a.distance - gap) - a.damping * approach);
+    const auto velocity = [&](int k) { return _mm_load_ps(&v[a.v[k]].x); };
+    __m128 u = _mm_mul_ps(_mm_set1_ps(a.weight[0]), velocity(0));
+    for (int k = 1; k < 4; ++k) u = _mm_fmadd_ps(_mm_set1_ps(a.weight[k]), velocity(k), u);
+    const __m128 n = _mm_setr_ps(c.normal[0], c.normal[1], c.normal[2], 0.0f);
+    const float approach = _mm_cvtss_f32(_mm_dp_ps(u, n, 0x71));
+    const float normal_force = std::max(0.0f, a.stiffness * a.depth - a.damping * approach);
     if (normal_force > 0.0f) ++touching;
-    // Tangential spring with slider.
+    // Tangential spring with slider; its stretch is kept in the tangent plane as that turns.
     const __m128 tangential = _mm_sub_ps(u, _mm_mul_ps(_mm_set1_ps(approach), n));
-    __m128 slip = _mm_fmadd_ps(_mm_set1_ps(dt), tangential, _mm_setr_ps(a.slip[0], a.slip[1], a.slip[2], 0.0f));
-    __m128 pull = _mm_fmadd_ps(_mm_set1_ps(a.stiffness), slip, _mm_mul_ps(_mm_set1_ps(a.damping), tangential));
-    const float size = std::sqrt(_mm_cvtss_f32(_mm_dp_ps(pull, pull, 0x71)));
+    __m128 slip = _mm_setr_ps(c.slip[0], c.slip[1], c.slip[2], 0.0f);
+    slip = _mm_sub_ps(slip, _mm_mul_ps(_mm_dp_ps(slip, n, 0x7f), n));
+    slip = _mm_fmadd_ps(_mm_set1_ps(dt), tangential, slip);
     const float limit = friction_ * normal_force;
-    if (size > limit) {
-      pull = _mm_mul_ps(pull, _mm_set1_ps(limit / size));
-      slip = a.stiffness > 0.0f ? _mm_mul_ps(pull, _mm_set1_ps(1.0f / a.stiffness)) : _mm_setzero_ps();
-    }
+    const auto length = [](__m128 a4) { return std::sqrt(_mm_cvtss_f32(_mm_dp_ps(a4, a4, 0x71))); };
+    const float stretch = length(slip);
+    if (a.stiffness * stretch > limit) slip = _mm_mul_ps(slip, _mm_set1_ps(limit / (a.stiffness * stretch)));
+    __m128 pull = _mm_fmadd_ps(_mm_set1_ps(a.stiffness), slip, _mm_mul_ps(_mm_set1_ps(a.damping), tangential));
+    const float size = length(pull);
+    if (size > limit) pull = _mm_mul_ps(pull, _mm_set1_ps(limit / size));
     alignas(16) float stored[4];
     _mm_store_ps(stored, slip);
-    for (int k = 0; k < 3; ++k) a.slip[k] = stored[k];
+    for (int k = 0; k < 3; ++k) c.slip[k] = stored[k];
     const __m128 force = _mm_sub_ps(_mm_mul_ps(_mm_set1_ps(normal_force), n), pull);
     for (int k = 0; k < 4; ++k) {
       float* to = &forces[a.v[k]].x;
@@ -844,51 +881,37 @@ void SelfContact::add_forces(State& state, const Fixed4* fixed, const Float4* v,
   state.touching = touching;
 }
 
-void SelfContact::stop(const State& state, const Double4* x, const Fixed4* fixed, double unit, double dt, double floor,
-                       const float* inverse_mass, Double4* v) const {
+void SelfContact::stop(const Double4* x, double dt, double floor, const float* inverse_mass, Double4* v) const {
   constexpr int kPasses = 12;
   const double per_dt = 1.0 / dt;
   for (int pass = 0; pass < kPasses; ++pass) {
     bool changed = false;
-    for (const std::int32_t index : state.fast) {
-      const Active& a = state.active[index];
-      double gap = 0.0, approach = 0.0, inverse = 0.0;
-      const Fixed4& o = fixed[a.v[0]];
+    for (const std::int32_t index : scratch_.fast) {
+      const Active& a = scratch_.active[index];
+      const double nx = a.candidate->normal[0], ny = a.candidate->normal[1], nz = a.candidate->normal[2];
+      double approach = 0.0, inverse = 0.0;
       for (int k = 0; k < 4; ++k) {
         const std::int32_t i = a.v[k];
-        const Fixed4& p = fixed[i];
-        const auto diff = [](std::int32_t s, std::int32_t t) {
-          return static_cast<double>(static_cast<std::int32_t>(static_cast<std::uint32_t>(s) - static_cast<std::uint32_t>(t)));
-        };
         const Double4& u = v[i];
-        const double w = a.weight[k], nx = a.normal[0], ny = a.normal[1], nz = a.normal[2];
+        const double w = a.weight[k];
         // The ground comes after this and takes what is left of a downward velocity; here it counts as a wall.
         const double lowest = std::min(0.0, (floor - x[i].z) * per_dt);
         const bool blocked = u.z <= lowest && w * nz < 0.0;
-        gap += w * unit * (diff(p.x, o.x) * nx + diff(p.y, o.y) * ny + diff(p.z, o.z) * nz);
         approach += w * (u.x * nx + u.y * ny + std::max(u.z, lowest) * nz);
         inverse += w * w * inverse_mass[i] * (nx * nx + ny * ny + (blocked ? 0.0 : nz * nz));
       }
-      const double wanted = std::min(0.0, (a.least - gap) * per_dt);
+      const double wanted = std::min(0.0, (static_cast<double>(a.least) - a.gap) * per_dt);
       if (approach >= wanted - 1e-9 || inverse <= 1e-12) continue;
       const double impulse = (wanted - approach) / inverse;
       for (int k = 0; k < 4; ++k) {
         const double s = impulse * a.weight[k] * inverse_mass[a.v[k]];
-        v[a.v[k]].x += s * a.normal[0];
-        v[a.v[k]].y += s * a.normal[1];
-        v[a.v[k]].z += s * a.normal[2];
+        v[a.v[k]].x += s * nx;
+        v[a.v[k]].y += s * ny;
+        v[a.v[k]].z += s * nz;
       }
       changed = true;
     }
     if (!changed) break;
-  }
-}
-
-void SelfContact::remember(State& state) const {
-  const auto split = static_cast<std::int32_t>(state.vertex_triangle.size());
-  for (const Active& a : state.active) {
-    Candidate& c = a.candidate < split ? state.vertex_triangle[a.candidate] : state.edge_edge[a.candidate - split];
-    for (int k = 0; k < 3; ++k) c.slip[k] = a.slip[k];
   }
 }
 

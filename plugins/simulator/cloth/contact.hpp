@@ -12,11 +12,13 @@ namespace weft::cloth {
 /// Contact of the cloth with itself: vertex-triangle and edge-edge pairs.
 ///
 /// Three levels, each reused as long as motion allows. All bounds are path lengths, not speeds:
-///   candidates  pairs that can come within thickness while every vertex keeps near the straight path that it was on when
+///   candidates  pairs that can come within thickness while every vertex keeps near the straight path that it was on
+///   when
 ///               they were found: neighbours that move together do not count
 ///   due         a candidate is measured again only when its vertices may have moved as far as its last free gap
-///   active      pairs within reach in the present block of substeps: normal and weights are kept for the block, the gap
-///               is evaluated in every substep
+///   active      pairs in contact: measured in every substep. (Keeping normals for a few substeps delays the forces
+///   that
+///               turn with the cloth, which is negative damping: 2 to 5 % of folds never came to rest.)
 /// Force of an active pair with gap g below its distance d: normal spring and dashpot, never pulling, and a tangential
 /// spring with a slider at mu times the normal force (Cundall & Strack 1979): resting layers stick without creep, and
 /// slide at exactly mu. The spring is as stiff as the substep allows, some micrometres deep under a layer's weight.
@@ -30,51 +32,50 @@ class SelfContact {
     float due;          ///< measure when the sum of the four path bounds reaches this, m
     float distance;     ///< m, contact distance of this pair
     float present;      ///< m, <= distance: what is left of it after an overload; negative: not active
+    float mass;         ///< kg, least effective mass since it is in contact; sets the spring
     float normal[3];    ///< last direction from the second to the first; zero: unknown
     float slip[3];      ///< m, stretch of the tangential spring
   };
+  /// A pair in one substep.
   struct Active {
     std::int32_t v[4];
-    float weight[4];    ///< point on the first minus point on the second = sum weight x
-    float normal[3];
-    float distance;     ///< m, Candidate::present
-    float least;        ///< m, half of Candidate::distance
-    float stiffness;    ///< N/m
-    float damping;      ///< N s/m
-    float slip[3];
-    bool touching;      ///< at the start of the block
-    std::int32_t candidate;  ///< index; edge-edge are counted from vertex_triangle.size()
+    float weight[4];  ///< point on the first minus point on the second = sum weight x
+    float gap;        ///< m, negative on the wrong side
+    float depth;      ///< m, Candidate::present - gap
+    float least;      ///< m, half of Candidate::distance
+    float stiffness;  ///< N/m
+    float damping;    ///< N s/m
+    Candidate* candidate;
   };
   /// All that changes; copied by snapshots.
   struct State {
     bool valid = false;
     std::vector<Candidate> vertex_triangle, edge_edge;
-    std::vector<Active> active;
-    std::vector<std::int32_t> fast;  ///< active pairs that may come closer than half their distance in this block
-    std::vector<float> path;   ///< [V] m moved since the candidates were found
+    std::vector<float> path;  ///< [V] m moved since the candidates were found
     // The candidates are good while every vertex is within `slack` of start + drift * elapsed, and elapsed <= horizon.
-    std::vector<Double4> start, drift;  ///< [V] m, m/s: state when they were found
+    std::vector<Double4> start, drift;    ///< [V] m, m/s: state when they were found
     double elapsed = 0.0, horizon = 0.0;  ///< s
-    std::int64_t touching = 0;        ///< active pairs with force in the last substep
+    std::int64_t touching = 0;            ///< active pairs with force in the last substep
   };
 
   SelfContact(const Topology& topology, const Fabric& fabric);
 
   /// Makes sure that the candidates are good for the next block, else finds them anew. Then state.path is zero.
-  void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit, double block_seconds) const;
+  void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,
+               double block_seconds) const;
   double slack() const { return slack_; }  ///< m, see State
-  /// Chooses the pairs that can touch until the paths reach `bound` [V] m (state.path plus the reach), and their stiffness
-  /// for substeps dt (s) in a block of `block_seconds`.
-  void activate(State& state, const Fixed4* fixed, double unit, const float* bound, const float* inverse_mass, float dt,
-                float block_seconds) const;
-  /// Adds contact forces of the active pairs.
-  void add_forces(State& state, const Fixed4* fixed, const Float4* v, double unit, float dt, Float4* forces) const;
-  /// Inelastic impulses on the velocities so that the fast pairs stay at least half their distance apart in the step
-  /// x += dt v, in which no vertex goes below floor (m).
-  void stop(const State& state, const Double4* x, const Fixed4* fixed, double unit, double dt, double floor,
-            const float* inverse_mass, Double4* v) const;
-  /// Writes what the active pairs remember back to the candidates.
-  void remember(State& state) const;
+  /// Chooses the candidates that can touch until the paths reach `bound` [V] m.
+  void select(State& state, const float* bound) const;
+  /// Measures the selected candidates; those in contact, or close to it, become active, with their stiffness.
+  /// @param moved [V] m, in the last substep. @param dt, longest s: this substep, and the longest one there can be.
+  void activate(State& state, const Fixed4* fixed, double unit, const float* moved, const float* inverse_mass, float dt,
+                float longest) const;
+  /// Adds the forces of the active pairs.
+  void add_forces(State& state, const Float4* v, float dt, Float4* forces) const;
+  bool has_fast() const { return !scratch_.fast.empty(); }
+  /// Inelastic impulses on the velocities so that the pairs that may come closer than half their distance do not, in
+  /// the step x += dt v, in which no vertex goes below floor (m).
+  void stop(const Double4* x, double dt, double floor, const float* inverse_mass, Double4* v) const;
   /// Longest substep (s) at which a layer under acceleration g (m/s^2) sinks in by at most 8 % of the thickness.
   double longest_step(double g) const;
   /// Empty, with room for a fully folded cloth, so that the frame loop does not allocate.
@@ -93,12 +94,12 @@ class SelfContact {
   /// Tree of boxes over the patches, split in rest space. Children come after their parent.
   struct Node {
     float low[3], high[3];
-    float axis[3];        ///< mean normal of the faces
-    float angle;          ///< rad, largest angle between it and a face's normal; above pi: no cone
+    float axis[3];             ///< mean normal of the faces
+    float angle;               ///< rad, largest angle between it and a face's normal; above pi: no cone
     std::int32_t left, right;  ///< children, or -1
-    std::int32_t patch;   ///< of a leaf
-    /// The rest shape is one piece, nearly convex: while its normals stay within a cone below 90 degrees it projects one to
-    /// one along the axis, and no two of its parts can touch [Volino and Magnenat-Thalmann 1994].
+    std::int32_t patch;        ///< of a leaf
+    /// The rest shape is one piece, nearly convex: while its normals stay within a cone below 90 degrees it projects
+    /// one to one along the axis, and no two of its parts can touch [Volino and Magnenat-Thalmann 1994].
     bool convex;
   };
   /// Room for find_candidates() and activate(), kept so that the frame loop does not allocate.
@@ -111,10 +112,14 @@ class SelfContact {
     std::vector<Float4> position, later;  ///< relative to the lowest corner: now and at the horizon
     std::vector<Float4> drift;            ///< m/s
     std::vector<float> load;
+    std::vector<std::int32_t> soon_faces, soon_edges;  ///< candidates selected for the block
+    std::vector<Active> active;
+    std::vector<std::int32_t> fast;  ///< active pairs that may come closer than half their distance
   };
   void make_patches();
   bool nearly_convex(const std::vector<std::int32_t>& faces) const;
   void find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit) const;
+  static void let_go(Candidate& pair);
   bool elsewhere(const Candidate& pair, const float (&weight)[4], const Fixed4* fixed) const;
   float pair_distance(const std::int32_t (&v)[4], bool edges) const;
 

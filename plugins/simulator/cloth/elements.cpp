@@ -149,8 +149,9 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
   for (int row = 0; row < 3; ++row)
     for (int k = 0; k < 6; ++k) second(row, k) = patch.second[row][k];
   // Free edges: the ghost's place follows from the natural condition, no moment across the edge:
-  // m^T d kappa = 0 with m = (n_u^2, n_v^2, n_u n_v). kappa = P second x with P = 1 - G (M^T d G)^-1 M^T d, G the ghosts'
-  // columns, M their m. Energy P^T d P. Where G is nearly blind to M (bad corners) the ghost goes where energy is least.
+  // m^T d kappa = 0 with m = (n_u^2, n_v^2, n_u n_v). kappa = P second x with P = 1 - G (M^T d G)^-1 M^T d, G the
+  // ghosts' columns, M their m. Energy P^T d P. Where G is nearly blind to M (bad corners) the ghost goes where energy
+  // is least.
   Eigen::Matrix<double, 3, Eigen::Dynamic, 0, 3, 3> ghosts(3, 0), normals(3, 0);
   for (int k = 0; k < 3; ++k) {
     if (!patch.ghost[k]) continue;
@@ -167,7 +168,8 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
     d.setZero();
   } else if (ghosts.cols() > 0) {
     const Eigen::MatrixXd mixed = normals.transpose() * d * ghosts, own = ghosts.transpose() * d * ghosts;
-    const bool sees = std::abs(mixed.determinant()) > kSeesNatural * std::abs(own.determinant()) && own.determinant() > 0.0;
+    const bool sees =
+        std::abs(mixed.determinant()) > kSeesNatural * std::abs(own.determinant()) && own.determinant() > 0.0;
     if (sees) {
       const Eigen::Matrix3d project = Eigen::Matrix3d::Identity() - ghosts * mixed.inverse() * normals.transpose() * d;
       d = (project.transpose() * d * project).eval();

@@ -1,0 +1,443 @@
+// The cloth simulator's parts against plain versions, and its promises as a simulator. Closed forms:
+// test_cloth_physics.cpp.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <cmath>
+#include <cstdlib>
+#include <new>
+
+// Compiled in, so that the parts can be reached (with -march as the plugin).
+#include "simulator/cloth/cloth.cpp"
+#include "simulator/cloth/contact.cpp"
+#include "simulator/cloth/elements.cpp"
+#include "simulator/cloth/stability.cpp"
+#include "simulator/cloth/topology.cpp"
+#include "unit/test_support.hpp"
+#include "weft/random.hpp"
+
+namespace {
+std::atomic<long> allocations{0};
+}
+// Counts what the program allocates, for AllocatesNothingInTheFrameLoop. (Aligned new goes through malloc-family calls
+// too.)
+void* operator new(std::size_t size) {
+  ++allocations;
+  if (void* p = std::malloc(size)) return p;
+  throw std::bad_alloc();
+}
+void* operator new(std::size_t size, std::align_val_t alignment) {
+  ++allocations;
+  const auto a = static_cast<std::size_t>(alignment);
+  if (void* p = std::aligned_alloc(a, (size + a - 1) / a * a)) return p;
+  throw std::bad_alloc();
+}
+void operator delete(void* p) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t) noexcept { std::free(p); }
+void operator delete(void* p, std::align_val_t) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t, std::align_val_t) noexcept { std::free(p); }
+
+namespace weft::cloth {
+namespace {
+
+using testing::HasSubstr;
+
+/// nx x ny vertices h apart, inner ones shaken by `shake` of h.
+Garment sheet(Index nx, Index ny, double h, double shake = 0.0) {
+  Garment g;
+  g.name = "sheet";
+  g.positions.resize(nx * ny, 3);
+  g.rest.resize(nx * ny, 2);
+  RandomStream random(3, 1);
+  for (Index j = 0; j < ny; ++j)
+    for (Index i = 0; i < nx; ++i) {
+      const bool inner = i > 0 && j > 0 && i + 1 < nx && j + 1 < ny;
+      const double x = (static_cast<double>(i) + (inner ? shake * (random.uniform() - 0.5) : 0.0)) * h;
+      const double y = (static_cast<double>(j) + (inner ? shake * (random.uniform() - 0.5) : 0.0)) * h;
+      g.rest.row(j * nx + i) << x, y;
+      g.positions.row(j * nx + i) << x, y, 0.0;
+    }
+  g.faces.resize(2 * (nx - 1) * (ny - 1), 3);
+  Index f = 0;
+  for (Index j = 0; j + 1 < ny; ++j)
+    for (Index i = 0; i + 1 < nx; ++i) {
+      const int a = static_cast<int>(j * nx + i), b = a + 1, c = static_cast<int>(a + nx), d = c + 1;
+      g.faces.row(f++) << a, b, d;
+      g.faces.row(f++) << a, d, c;
+    }
+  g.hash = static_cast<std::uint64_t>(nx * 1000 + ny);
+  return g;
+}
+
+Fabric fabric() {
+  Fabric f;
+  f.stretch_warp_n_per_m = 80.0;
+  f.stretch_weft_n_per_m = 120.0;
+  f.stretch_shear_n_per_m = 40.0;
+  f.poisson = 0.2;
+  f.bend_warp_n_m = 1.6e-5;
+  f.bend_weft_n_m = 2.4e-5;
+  f.bend_bias_n_m = 1.8e-5;
+  f.damping_air_per_s = 2.0;
+  return f;
+}
+
+const Positions kNothing(0, 3);
+constexpr double kUnit = 0x1.0p-30;
+
+struct Shape {
+  std::vector<Fixed4> x;
+  std::vector<Float4> v;
+  explicit Shape(const Positions& p) : x(p.rows()), v(p.rows(), Float4{}) {
+    for (Index i = 0; i < p.rows(); ++i)
+      x[i] = {static_cast<std::int32_t>(std::llround(p(i, 0) / kUnit)),
+              static_cast<std::int32_t>(std::llround(p(i, 1) / kUnit)),
+              static_cast<std::int32_t>(std::llround(p(i, 2) / kUnit)), 0};
+  }
+};
+Positions forces_on(const Elements& elements, const Positions& p) {
+  const Shape shape(p);
+  std::vector<Float4> f(p.rows(), Float4{});
+  elements.add_forces(shape.x.data(), shape.v.data(), f.data());
+  Positions out(p.rows(), 3);
+  for (Index i = 0; i < p.rows(); ++i) out.row(i) << f[i].x, f[i].y, f[i].z;
+  return out;
+}
+
+/// St. Venant-Kirchhoff energy of linear triangles, J.
+double membrane_energy(const Garment& g, const Positions& x, const MembraneModuli& m) {
+  double sum = 0.0;
+  for (Index f = 0; f < g.face_count(); ++f) {
+    Eigen::Matrix2d rest;
+    Eigen::Matrix<double, 3, 2> now;
+    for (int k = 0; k < 2; ++k) {
+      rest.col(k) = (g.rest.row(g.faces(f, k + 1)) - g.rest.row(g.faces(f, 0))).transpose();
+      now.col(k) = (x.row(g.faces(f, k + 1)) - x.row(g.faces(f, 0))).transpose();
+    }
+    const Eigen::Matrix<double, 3, 2> gradient = now * rest.inverse();
+    const Eigen::Matrix2d e = 0.5 * (gradient.transpose() * gradient - Eigen::Matrix2d::Identity());
+    sum += 0.5 * std::abs(rest.determinant()) *
+           (0.5 * m.c11 * e(0, 0) * e(0, 0) + m.c12 * e(0, 0) * e(1, 1) + 0.5 * m.c22 * e(1, 1) * e(1, 1) +
+            2.0 * m.g * e(0, 1) * e(0, 1));
+  }
+  return sum;
+}
+
+TEST(ClothElements, MembraneForceIsMinusTheEnergysGradient) {
+  const Garment g = sheet(6, 5, 0.02, 0.6);
+  Fabric f = fabric();
+  f.bend_warp_n_m = f.bend_weft_n_m = f.bend_bias_n_m = 0.0;
+  const Topology topology(g);
+  const Elements elements(topology, f);
+  ASSERT_EQ(elements.unit(), kUnit);
+  const MembraneModuli m = membrane_moduli(f);
+  Positions x = g.positions;
+  RandomStream random(8, 2);
+  for (Index i = 0; i < x.size(); ++i) x.data()[i] += 0.003 * random.normal();
+  const Positions got = forces_on(elements, x);
+  const double scale = got.cwiseAbs().maxCoeff();
+  for (Index i = 0; i < x.rows(); i += 3)
+    for (int k = 0; k < 3; ++k) {
+      Positions y = x;
+      constexpr double h = 1e-6;
+      y(i, k) = x(i, k) + h;
+      const double up = membrane_energy(g, y, m);
+      y(i, k) = x(i, k) - h;
+      EXPECT_NEAR(got(i, k), -(up - membrane_energy(g, y, m)) / (2 * h), 2e-5 * scale);
+    }
+}
+
+TEST(ClothElements, RotatedAndShiftedRestShapeFeelsNothing) {
+  const Garment g = sheet(6, 5, 0.02, 0.6);
+  const Topology topology(g);
+  const Elements elements(topology, fabric());
+  const Eigen::Matrix3d turn = Eigen::AngleAxisd(1.1, Eigen::Vector3d(0.3, -0.5, 0.8).normalized()).toRotationMatrix();
+  Positions x = g.positions * turn.transpose();
+  x.rowwise() += Eigen::RowVector3d(37.25, -11.5, 3.0);  // beyond what fixed point holds: it wraps
+  Shape shape(g.positions);
+  for (Index i = 0; i < x.rows(); ++i) {
+    const auto wrap = [](double a) {
+      return static_cast<std::int32_t>(static_cast<std::uint32_t>(std::llround(a / kUnit)));
+    };
+    shape.x[i] = {wrap(x(i, 0)), wrap(x(i, 1)), wrap(x(i, 2)), 0};
+  }
+  std::vector<Float4> f(x.rows(), Float4{});
+  elements.add_forces(shape.x.data(), shape.v.data(), f.data());
+  for (const Float4& a : f) EXPECT_LT(std::abs(a.x) + std::abs(a.y) + std::abs(a.z), 1e-5);  // N; stiffness * 1e-7
+}
+
+TEST(ClothElements, BendingForceOfACylinderVanishesInsideARegularSheet) {
+  // Constant curvature carries constant moment: no net force but at the border. Nearly inextensible small deflection.
+  const Garment g = sheet(11, 11, 0.02);
+  Fabric f = fabric();
+  const Topology topology(g);
+  const Elements elements(topology, f);
+  std::vector<double> w(g.vertex_count()), k(g.vertex_count());
+  for (Index i = 0; i < g.vertex_count(); ++i) w[i] = 0.5 * 3.0 * g.rest(i, 0) * g.rest(i, 0);
+  elements.bending_stiffness(w, k);
+  const double border = *std::max_element(k.begin(), k.end());
+  for (Index j = 3; j < 8; ++j)
+    for (Index i = 3; i < 8; ++i) EXPECT_NEAR(k[j * 11 + i], 0.0, 1e-9 * border);
+}
+
+TEST(ClothElements, EnergyOfACylinderIsHalfABKappaSquared) {
+  // Along u; the ends u = 0 and 0.2 are free, where a bent sheet has no natural shape: only their column differs.
+  const double kappa = 3.0;
+  for (const double shake : {0.0, 0.6}) {
+    const Garment g = sheet(41, 11, 0.005, shake);
+    const Topology topology(g);
+    const Elements elements(topology, fabric());
+    std::vector<double> w(g.vertex_count()), k(g.vertex_count());
+    for (Index i = 0; i < g.vertex_count(); ++i) w[i] = 0.5 * kappa * g.rest(i, 0) * g.rest(i, 0);
+    elements.bending_stiffness(w, k);
+    double energy = 0.0;
+    for (Index i = 0; i < g.vertex_count(); ++i) energy += 0.5 * w[i] * k[i];
+    EXPECT_NEAR(energy / (0.5 * 0.2 * 0.05 * 1.6e-5 * kappa * kappa), 1.0, 0.03) << shake;
+  }
+}
+
+TEST(ClothModuli, EngineeringConstantsGiveTheUniaxialStiffness) {
+  const MembraneModuli m = membrane_moduli(fabric());
+  // Pull along warp with free weft: stress / strain = K_warp.
+  EXPECT_NEAR(m.c11 - m.c12 * m.c12 / m.c22, 80.0, 1e-9);
+  EXPECT_NEAR(m.c22 - m.c12 * m.c12 / m.c11, 120.0, 1e-9);
+  EXPECT_NEAR(m.c12 / m.c22, 0.2, 1e-12);  // warp strain from weft pull is nu21, weft strain from warp pull is nu12
+}
+
+TEST(ClothModuli, BendingFollowsTheDirection) {
+  for (const double bias : {1.8e-5, 0.7e-5}) {
+    const BendingModuli m = bending_moduli(1.6e-5, 2.4e-5, bias);
+    EXPECT_GT(m.d33, 0.0);
+    for (const double angle : {0.0, 0.4, std::numbers::pi / 4, 1.2, std::numbers::pi / 2}) {
+      const double c = std::cos(angle), s = std::sin(angle);
+      EXPECT_NEAR(m.d11 * std::pow(c, 4) + m.d22 * std::pow(s, 4) + (2 * m.d12 + m.d33) * c * c * s * s,
+                  1.6e-5 * std::pow(c, 4) + 2.4e-5 * std::pow(s, 4) + (4 * bias - 4.0e-5) * c * c * s * s, 1e-12);
+    }
+  }
+}
+
+TEST(ClothModuli, TablesAreReadAsTheirFormatSays) {
+  MaterialTables t;
+  for (int row = 0; row < 6; ++row) t.stretching[row] = {10.0 + row, 2.0, 20.0 + row, 5.0 + row};
+  t.stretching[3][1] = -4.0;
+  const MembraneModuli rest = membrane_moduli(t, 2.0, 0.0, 0.0, 0.0);
+  EXPECT_DOUBLE_EQ(rest.c11, 2.0 * 2.0 * 10.0);
+  EXPECT_DOUBLE_EQ(rest.g, 2.0 * 5.0);  // c33 is the shear modulus itself
+  const auto green = [](double stretch) { return 0.5 * ((1 + stretch) * (1 + stretch) - 1); };
+  EXPECT_NEAR(membrane_moduli(t, 1.0, green(1.0 / 6.0), 0.0, 0.0).c11, 2.0 * 11.0, 1e-9);  // row 1: 0 deg
+  EXPECT_NEAR(membrane_moduli(t, 1.0, 0.0, green(0.5), 0.0).c22, 2.0 * 25.0, 1e-9);  // row 5: 90 deg, held beyond 1/6
+  EXPECT_NEAR(membrane_moduli(t, 1.0, green(1.0 / 12.0), 0.0, 0.0).c11, 2.0 * 10.5, 1e-9);  // half way
+  EXPECT_NEAR(membrane_moduli(t, 1.0, 0.1, 0.1, 0.2).c12, 0.0, 1e-9);  // 45 deg: negative is clamped
+  t.bending = {{{1, 2, 3, 4, 5}, {2, 2, 2, 2, 2}, {8, 8, 8, 8, 8}}};
+  const BendingModuli b = bending_moduli(t, 1.0, 15.0);
+  EXPECT_DOUBLE_EQ(b.d22, 2.5 / 4.0);  // row 0 is the edge along warp: bending along weft
+  EXPECT_DOUBLE_EQ(b.d11, 8.0 / 4.0);
+  EXPECT_DOUBLE_EQ(bending_moduli(t, 1.0, 1000.0).d22, 5.0 / 4.0);
+}
+
+TEST(ClothStability, StepIsJustBelowTheLimitOfASingleSpring) {
+  Spectrum spectrum;
+  spectrum.membrane = 1e6;
+  EXPECT_NEAR(stable_step(spectrum, 0.0, 0.0, 1.0), 2e-3, 1e-12);
+  // With damping: dt^2 lambda / 4 + dt beta lambda / 2 = 1.
+  const double dt = stable_step(spectrum, 1e-3, 0.0, 1.0);
+  EXPECT_NEAR(dt * dt * 1e6 / 4 + dt * 1e-3 * 1e6 / 2, 1.0, 1e-9);
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+
+struct Fold {
+  explicit Fold(std::shared_ptr<const Garment> g, const Fabric& f, Params p = {}) : garment(std::move(g)), cloth(p) {
+    cloth.reset(garment, f, Scene());
+    const std::vector<Index> corners{0, garment->vertex_count() - 20};
+    cloth.grasp(corners);
+    start.resize(2, 3);
+    for (int k = 0; k < 2; ++k) start.row(k) = cloth.positions().row(corners[k]);
+  }
+  Positions targets(Index frame) const {
+    const double a = std::numbers::pi * std::min(1.0, static_cast<double>(frame) / frames);
+    Positions t = start;
+    t.col(0).array() += 0.18 * (1.0 - std::cos(a));
+    t.col(2).array() += 0.19 * std::sin(a) + 0.02 * (1.0 - std::cos(a));
+    return t;
+  }
+  void run(Index from, Index to) {
+    for (Index k = from; k < to; ++k) cloth.step(targets(k + 1));
+  }
+  static constexpr Index frames = 80;
+  std::shared_ptr<const Garment> garment;
+  Cloth cloth;
+  Positions start;
+};
+std::shared_ptr<const Garment> folding_sheet() { return std::make_shared<const Garment>(sheet(20, 12, 0.02, 0.5)); }
+
+TEST(Cloth, FoldsSettlesAndNeverCrossesItself) {
+  for (const double thickness : {0.0005, 0.001, 0.004}) {
+    Fabric f = fabric();
+    f.thickness_m = thickness;
+    Fold fold(folding_sheet(), f);
+    for (Index k = 0; k < Fold::frames; ++k) {
+      fold.run(k, k + 1);
+      ASSERT_EQ(count_intersections(fold.cloth.positions(), fold.garment->faces), 0) << "frame " << k;
+    }
+    fold.cloth.release();
+    const SettleResult result = fold.cloth.settle({});
+    EXPECT_TRUE(result.settled) << result.max_speed;
+    EXPECT_EQ(count_intersections(fold.cloth.positions(), fold.garment->faces), 0);
+    EXPECT_GT(fold.cloth.diagnostics().contacts, 20);
+    EXPECT_GE(fold.cloth.positions().col(2).minCoeff(), thickness);
+  }
+}
+
+TEST(Cloth, LayersRestAtThicknessAndDoNotCreep) {
+  // Two sheets of one garment, the upper one thickness above the lower.
+  Garment two = sheet(12, 12, 0.02, 0.5);
+  const Garment upper = sheet(8, 8, 0.021, 0.5);
+  const Index n = two.vertex_count();
+  const Fabric f = fabric();
+  two.positions.conservativeResize(n + 64, 3);
+  two.rest.conservativeResize(n + 64, 2);
+  two.positions.bottomRows(64) = upper.positions.rowwise() + Eigen::RowVector3d(0.03, 0.04, 2.0 * f.thickness_m);
+  two.rest.bottomRows(64) = upper.rest;
+  const Index faces = two.face_count();
+  two.faces.conservativeResize(faces + upper.face_count(), 3);
+  two.faces.bottomRows(upper.face_count()) = (upper.faces.array() + static_cast<int>(n)).matrix();
+  two.hash = 77;
+  Cloth cloth{Params{}};
+  cloth.reset(std::make_shared<const Garment>(two), f, Scene());
+  for (int k = 0; k < 30; ++k) cloth.step(kNothing);
+  const Positions before = cloth.positions();
+  for (int k = 0; k < 120; ++k) cloth.step(kNothing);
+  EXPECT_LT((cloth.positions() - before).cwiseAbs().maxCoeff(), 2e-5);
+  const auto top = cloth.positions().bottomRows(64).col(2);
+  EXPECT_GT(top.minCoeff(), 1.85 * f.thickness_m);
+  EXPECT_LT(top.maxCoeff(), 2.02 * f.thickness_m);
+}
+
+TEST(Cloth, LayersSeparateWhenLiftedAgain) {
+  Fold fold(folding_sheet(), fabric());
+  fold.run(0, Fold::frames);
+  fold.cloth.settle({0.005, 6, 60});
+  EXPECT_GT(fold.cloth.diagnostics().contacts, 0);
+  for (Index k = Fold::frames; k > 0; --k) {
+    fold.cloth.step(fold.targets(k - 1));
+    ASSERT_EQ(count_intersections(fold.cloth.positions(), fold.garment->faces), 0) << "frame " << k;
+  }
+  fold.cloth.release();
+  fold.cloth.settle({0.005, 6, 200});
+  EXPECT_LT(fold.cloth.positions().col(2).maxCoeff(), 0.01);
+  EXPECT_EQ(fold.cloth.diagnostics().contacts, 0);
+}
+
+TEST(Cloth, SnapshotInContactContinuesBitForBitInAnotherObject) {
+  Fold fold(folding_sheet(), fabric());
+  fold.run(0, 75);
+  EXPECT_GT(fold.cloth.diagnostics().contacts, 0);
+  const auto snapshot = fold.cloth.save();
+  fold.run(75, 80);
+  fold.cloth.release();
+  fold.cloth.settle({0.005, 6, 40});
+  Fold other(fold.garment, fabric());
+  other.run(0, 7);
+  other.cloth.restore(*snapshot);
+  other.run(75, 80);
+  other.cloth.release();
+  other.cloth.settle({0.005, 6, 40});
+  EXPECT_EQ(fold.cloth.positions(), other.cloth.positions());
+  EXPECT_EQ(fold.cloth.velocities(), other.cloth.velocities());
+}
+
+TEST(Cloth, AllocatesNothingInTheFrameLoop) {
+  Fold fold(folding_sheet(), fabric());
+  std::vector<Positions> targets;
+  for (Index k = 0; k < Fold::frames; ++k) targets.push_back(fold.targets(k + 1));
+  const long before = allocations;
+  for (const auto& t : targets) fold.cloth.step(t);
+  fold.cloth.settle({0.005, 6, 30});
+  EXPECT_EQ(allocations - before, 0);
+}
+
+TEST(Cloth, OverlappingStartPushesApartGently) {
+  Garment two = sheet(8, 8, 0.02, 0.5);
+  const Garment upper = two;
+  const Index n = two.vertex_count();
+  const Fabric f = fabric();
+  two.positions.conservativeResize(2 * n, 3);
+  two.rest.conservativeResize(2 * n, 2);
+  two.positions.bottomRows(n) = upper.positions.rowwise() + Eigen::RowVector3d(0.007, 0.004, 1.2 * f.thickness_m);
+  two.positions.topRows(n).col(2).array() += f.thickness_m;
+  two.rest.bottomRows(n) = upper.rest;
+  const Index faces = two.face_count();
+  two.faces.conservativeResize(2 * faces, 3);
+  two.faces.bottomRows(faces) = (upper.faces.array() + static_cast<int>(n)).matrix();
+  two.hash = 78;
+  Cloth cloth{Params{}};
+  cloth.reset(std::make_shared<const Garment>(two), f, Scene());
+  double fastest = 0.0;
+  for (int k = 0; k < 60; ++k) {
+    cloth.step(kNothing);
+    fastest = std::max(fastest, cloth.velocities().rowwise().norm().maxCoeff());
+  }
+  EXPECT_LT(fastest, 0.02);
+}
+
+TEST(Cloth, OverstretchingGraspIsReported) {
+  Cloth cloth{Params{}};
+  cloth.reset(std::make_shared<const Garment>(sheet(8, 8, 0.02)), fabric(), Scene());
+  const std::vector<Index> corners{0, 7};
+  cloth.grasp(corners);
+  Positions targets(2, 3);
+  for (int k = 0; k < 2; ++k) targets.row(k) = cloth.positions().row(corners[k]);
+  cloth.step(targets);
+  EXPECT_TRUE(cloth.diagnostics().warning.empty());
+  for (int k = 0; k < 20; ++k) {
+    targets(1, 0) += 0.004;
+    cloth.step(targets);
+  }
+  EXPECT_THAT(cloth.diagnostics().warning, HasSubstr("grasp_strain_warning"));
+  EXPECT_GT(cloth.diagnostics().max_grasp_strain, 0.15);
+}
+
+TEST(Cloth, StiffnessProportionalDampingTakesMoreSubstepsAndStaysStable) {
+  Fabric f = fabric();
+  Fold plain(folding_sheet(), f);
+  plain.run(0, 1);
+  f.damping_stretch_s = 1e-3;
+  f.damping_bend_s = 1e-3;
+  Fold damped(folding_sheet(), f);
+  damped.run(0, 30);
+  EXPECT_GT(damped.cloth.last_substeps(), plain.cloth.last_substeps());
+  EXPECT_LT(damped.cloth.diagnostics().max_speed, 3.0);
+}
+
+TEST(Cloth, RefusalsSayWhatAndWhy) {
+  const auto garment = std::make_shared<const Garment>(sheet(4, 4, 0.02));
+  Cloth cloth{Params{}};
+  const auto message = [&](auto&& change) {
+    Fabric f = fabric();
+    Scene s;
+    change(f, s);
+    return test::message_of<ConfigError>([&] { cloth.reset(garment, f, s); });
+  };
+  EXPECT_THAT(message([](Fabric& f, Scene&) { f.stretch_warp_n_per_m = 0; }), HasSubstr("fabric.stretch_n_per_m.warp"));
+  EXPECT_THAT(message([](Fabric& f, Scene&) { f.density_kg_per_m2 = -1; }), HasSubstr("density_kg_per_m2"));
+  EXPECT_THAT(message([](Fabric& f, Scene&) { f.poisson = 1.5; }), HasSubstr("poisson"));
+  EXPECT_THAT(message([](Fabric& f, Scene&) { f.thickness_m = 0; }), HasSubstr("thickness_m"));
+  EXPECT_THAT(message([](Fabric&, Scene& s) { s.pins = {99}; }), HasSubstr("scene.pins"));
+  EXPECT_THAT(message([](Fabric& f, Scene&) { f.stretch_warp_n_per_m = 1e12; }), HasSubstr("max_substeps"));
+}
+
+TEST(Cloth, DivergenceNamesTheFrameAndNeedsAReset) {
+  Fold fold(folding_sheet(), fabric());
+  fold.run(0, 2);
+  Positions far = fold.targets(3);
+  far.col(2).setConstant(1e200);
+  EXPECT_THAT(test::message_of<Diverged>([&] { fold.cloth.step(far); }), HasSubstr("frame 3"));
+  EXPECT_THROW(fold.cloth.step(fold.targets(3)), Error);
+  fold.cloth.reset(fold.garment, fabric(), Scene());
+  fold.cloth.step(kNothing);
+}
+
+}  // namespace
+}  // namespace weft::cloth

@@ -1,0 +1,51 @@
+// The physics suite (configs/experiments/physics.yaml) with its bounds, on the cloth plugin as it is loaded for folds.
+#include <gtest/gtest.h>
+
+#include "weft/physics.hpp"
+#include "weft/registry.hpp"
+
+namespace weft {
+namespace {
+
+struct Physics : testing::TestWithParam<std::string> {};
+
+TEST_P(Physics, IsWithinItsBounds) {
+  const auto registry =
+      std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
+  const auto host = make_host(registry, HostOptions{1, 0, nullptr, nullptr});
+  const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/experiments/physics.yaml");
+  std::shared_ptr<const Task> task;
+  if (GetParam() == "garment crease") {
+    TaskParams params;
+    read_params(ConfigNode::mapping({{"garment", config.at("garment")},
+                                     {"material", config.at("material")},
+                                     {"manipulation", config.at("manipulation")},
+                                     {"simulator", config.at("simulator")},
+                                     {"trajectory", config.at("trajectory")}}),
+                params);
+    task = std::make_shared<const Task>(make_task(params, config, *host));
+  }
+  PhysicsParams params;
+  read_params(config.at("physics"), params);
+  params.tests = {GetParam()};
+  const auto variant = [&](const char* name, const char* key) {
+    return SimulatorVariant{name, [&host, slot = config.at(key)] { return host->create<Simulator>(slot); }};
+  };
+  const std::vector<SimulatorVariant> variants{variant("default", "simulator"), variant("finer", "finer")};
+  const auto cases = physics_cases(params, task);
+  ASSERT_FALSE(cases.empty());
+  for (const auto& one : cases)
+    for (const auto& row : run_physics_case(one, variants)) {
+      std::puts(format_physics_row(row).c_str());
+      EXPECT_TRUE(row.passed) << format_physics_row(row);
+    }
+}
+
+INSTANTIATE_TEST_SUITE_P(Suite, Physics, testing::ValuesIn(physics_test_names()), [](const auto& which) {
+  std::string name = which.param;
+  std::replace(name.begin(), name.end(), ' ', '_');
+  return name;
+});
+
+}  // namespace
+}  // namespace weft
