@@ -23,6 +23,7 @@ class Launcher : public ::testing::Test {
     fs::copy_file(WEFT_SOURCE_DIR "/cmake/debian-packages.txt", folder_ / "tree/cmake/debian-packages.txt");
     const std::string tree = (folder_ / "tree").string(), build = tree + "/build/release";
     // Everything is installed, root runs it, the build makes a program that shows where and how it was called.
+    unsetenv("CMAKE_BUILD_PARALLEL_LEVEL");
     tool("dpkg-query", "shift 3; for p; do echo \"installed $p\"; done");
     tool("id", "echo 0");
     tool("sudo", "exit 1");
