@@ -13,7 +13,8 @@ namespace {
 /// A towel of 80 mm edges and a plan that costs a second.
 std::string task_text() {
   return "garment: towel.yaml\n"
-         "material: " WEFT_SOURCE_DIR "/configs/fabrics/basic.yaml\n"
+         "material: " WEFT_SOURCE_DIR
+         "/configs/fabrics/basic.yaml\n"
          "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
          "simulator: {plugin: cloth}\n"
          "trajectory: {plugin: arc}\n"
@@ -96,7 +97,8 @@ TEST_F(Session, HorizonFollowsThePaper) {
 }
 
 TEST_F(Session, GoalsByControlsByObjAndByRecordedSession) {
-  const std::vector<std::string> quick = {"planning.iterations=0", "planning.replan_iterations=0", "planning.instances=1"};
+  const std::vector<std::string> quick = {"planning.iterations=0", "planning.replan_iterations=0",
+                                          "planning.instances=1"};
   const auto with = [&](std::vector<std::string> more) {
     more.insert(more.end(), quick.begin(), quick.end());
     return run(more);
@@ -133,9 +135,11 @@ TEST_F(Session, SessionFileHoldsWhatTheSummarySays) {
   const auto file = Hdf5File::open(folder_ / "session.h5");
   EXPECT_EQ(file.read_positions("/final_shape"), result.final_shape);
   EXPECT_EQ(file.list("/rounds").size(), result.rounds.size());
-  EXPECT_EQ(file.shape("/frames"), (std::vector<Index>{static_cast<Index>(result.frames.size()), result.goal.rows(), 3}));
+  EXPECT_EQ(file.shape("/frames"),
+            (std::vector<Index>{static_cast<Index>(result.frames.size()), result.goal.rows(), 3}));
   const auto summary = nlohmann::json::parse(file.read_text("/summary"));
-  EXPECT_EQ(summary["error_mm"].get<double>(), mean_distance_mm(file.read_positions("/final_shape"), file.read_positions("/goal")));
+  EXPECT_EQ(summary["error_mm"].get<double>(),
+            mean_distance_mm(file.read_positions("/final_shape"), file.read_positions("/goal")));
   EXPECT_EQ(summary["plan_seconds"].size(), result.rounds.size());
   EXPECT_EQ(summary["knowledge"].size(), result.rounds.size());
   EXPECT_EQ(file.read_text("/config"), resolved_.to_yaml());
