@@ -12,12 +12,13 @@
 namespace weft::app {
 
 /// Options every command takes, and what commands need to run. A command registers a CLI11 subcommand and, when it was
-/// chosen, runs in `Context::action`; main prints errors and turns them into exit codes (0 done, 1 failed, 2 wrong use).
+/// chosen, runs in `Context::action`; main prints errors and turns them into exit codes (0 done, 1 failed, 2 wrong
+/// use).
 struct Context {
-  std::vector<std::string> overrides;   ///< --set key.path=value
-  std::optional<std::uint64_t> seed;    ///< --seed
-  std::string out;                      ///< --out
-  int jobs = 0;                         ///< --jobs, 0: all cores
+  std::vector<std::string> overrides;  ///< --set key.path=value
+  std::optional<std::uint64_t> seed;   ///< --seed
+  std::string out;                     ///< --out
+  int jobs = 0;                        ///< --jobs, 0: all cores
   bool quiet = false;
   bool json = false;
   std::function<int()> action;

@@ -88,7 +88,8 @@ struct Hdf5File::Impl {
       count *= static_cast<std::size_t>(n);
     }
     std::vector<T> values(count);
-    if (count > 0 && H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()) < 0) fail(path, "cannot be read; the file is damaged");
+    if (count > 0 && H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()) < 0)
+      fail(path, "cannot be read; the file is damaged");
     return values;
   }
   void write(const std::string& path, const std::vector<Index>& dims, hid_t type, std::size_t size, const void* data) {
@@ -232,7 +233,8 @@ std::string Hdf5File::read_text(const std::string& path) const {
     impl_->fail(path, "is no text");
   }
   std::string text(H5Tget_size(type), '\0');
-  if (H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.data()) < 0) impl_->fail(path, "cannot be read; the file is damaged");
+  if (H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.data()) < 0)
+    impl_->fail(path, "cannot be read; the file is damaged");
   text.resize(text.find_last_not_of('\0') + 1);
   return text;
 }

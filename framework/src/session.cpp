@@ -29,7 +29,8 @@ PropertyVector read_property_vector(const ConfigNode& origin, const char* key, c
 /// Rows of controls from the config: a list of rows, or one row that is repeated until release.
 Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Index horizon) {
   const auto columns = static_cast<Index>(trajectory.controls().size());
-  if (!node.is_sequence() || node.size() == 0) node.fail("must be a list of rows of " + std::to_string(columns) + " numbers");
+  if (!node.is_sequence() || node.size() == 0)
+    node.fail("must be a list of rows of " + std::to_string(columns) + " numbers");
   const auto read_row = [&](const ConfigNode& row) {
     if (static_cast<Index>(row.size()) != columns) {
       row.fail("has " + std::to_string(row.size()) + " numbers, must have " + std::to_string(columns));
@@ -93,7 +94,8 @@ SettleResult SimulatorEnvironment::release() {
   return result;
 }
 
-SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host, const SessionProgress& progress) {
+SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host,
+                          const SessionProgress& progress) {
   const Task task = make_task(params.task, origin, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
   const auto& trajectory = *task.trajectory;
@@ -119,9 +121,11 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   // What the default control gives, and the goal.
   const auto reference = host.create<Simulator>(task.simulator);
   const Index horizon = params.planning.horizon;
-  result.default_shape = simulate_fold(*reference, task, result.true_material, trajectory.default_controls(horizon)).shapes.back();
-  const MaterialProperties goal_material =
-      params.goal.material.empty() ? result.true_material : read_property_vector(origin, "goal.material", params.goal.material);
+  result.default_shape =
+      simulate_fold(*reference, task, result.true_material, trajectory.default_controls(horizon)).shapes.back();
+  const MaterialProperties goal_material = params.goal.material.empty()
+                                               ? result.true_material
+                                               : read_property_vector(origin, "goal.material", params.goal.material);
   const int given = !params.goal.obj.empty() + !params.goal.example.empty() + !params.goal.controls.is_null();
   if (given > 1) origin.fail("goal: give at most one of obj, example and controls");
   if (!params.goal.obj.empty()) {
@@ -143,7 +147,8 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
         host.log(LogLevel::warning, std::string("a goal candidate was skipped: ") + error.what());
         continue;
       }
-      if (!fold.released || mean_distance_mm(fold.shapes.back(), result.default_shape) < random_goal.min_distance_mm) continue;
+      if (!fold.released || mean_distance_mm(fold.shapes.back(), result.default_shape) < random_goal.min_distance_mm)
+        continue;
       result.goal = fold.shapes.back();
       result.goal_controls = controls.topRows(fold.segments);
     }
@@ -166,7 +171,8 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   const auto goal = std::make_shared<const Positions>(result.goal);
   result.start = *current;
   Controls warm_start;
-  while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments && !host.cancelled()) {
+  while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
+         !host.cancelled()) {
     PlanRequest request{.shape = current, .previous = previous, .state = state, .goal = goal, .knowledge = knowledge};
     request.warm_start = warm_start;
     request.round = static_cast<Index>(result.rounds.size());
@@ -196,9 +202,11 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   result.max_grasp_strain = environment.max_grasp_strain();
   result.frames = environment.frames();
   if (!result.released) {
-    result.warnings.push_back("the session ended after " + std::to_string(result.rounds.size()) + " segments without release");
+    result.warnings.push_back("the session ended after " + std::to_string(result.rounds.size()) +
+                              " segments without release");
   } else if (!result.settle.settled) {
-    result.warnings.push_back("the released cloth did not settle within " + std::to_string(result.settle.frames) + " frames");
+    result.warnings.push_back("the released cloth did not settle within " + std::to_string(result.settle.frames) +
+                              " frames");
   }
   return result;
 }
@@ -234,8 +242,8 @@ std::string session_summary_json(const SessionResult& result) {
   return summary.dump(2) + "\n";
 }
 
-void write_session(const std::filesystem::path& path, const SessionResult& result, const Task& task, const ConfigNode& resolved,
-                   const std::string& provenance) {
+void write_session(const std::filesystem::path& path, const SessionResult& result, const Task& task,
+                   const ConfigNode& resolved, const std::string& provenance) {
   auto file = Hdf5File::create(path);
   file.write("/schema", std::string("weft session 1"));
   file.write("/config", resolved.to_yaml());
@@ -247,7 +255,8 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   file.write("/garment/rest", garment.rest);
   const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = garment.faces.cast<std::int64_t>();
   file.write("/garment/faces", faces);
-  const std::vector<std::int64_t> held(task.manipulation.grasp_vertices.begin(), task.manipulation.grasp_vertices.end());
+  const std::vector<std::int64_t> held(task.manipulation.grasp_vertices.begin(),
+                                       task.manipulation.grasp_vertices.end());
   file.write("/garment/grasp_vertices", {static_cast<Index>(held.size())}, held.data());
   file.write("/start", result.start);
   file.write("/goal", result.goal);
@@ -268,7 +277,8 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
     const Vector centre = round.knowledge.centre, width = round.knowledge.width;
     file.write(group + "/knowledge_centre", centre);
     file.write(group + "/knowledge_width", width);
-    const Vector losses = Eigen::Map<const Vector>(round.plan.losses.data(), static_cast<Index>(round.plan.losses.size()));
+    const Vector losses =
+        Eigen::Map<const Vector>(round.plan.losses.data(), static_cast<Index>(round.plan.losses.size()));
     file.write(group + "/losses", losses);
     if (!round.plan.curves.empty()) {
       Controls curves(static_cast<Index>(round.plan.curves.size()), losses.size());

@@ -27,7 +27,7 @@ struct PredictionCase {
   Vector state;                               ///< [S] control state at the start
   Controls controls;                          ///< [k, C]
   MaterialKnowledge knowledge;
-  std::vector<Index> segments;                ///< ascending, in [1, k]: shapes wanted after that many segments
+  std::vector<Index> segments;  ///< ascending, in [1, k]: shapes wanted after that many segments
 };
 
 enum class Moments { mean, mean_and_sigma };
@@ -35,8 +35,8 @@ enum class Moments { mean, mean_and_sigma };
 struct PredictionRequest {
   Moments moments = Moments::mean_and_sigma;
   bool gradients = false;  ///< keep what pullback() needs
-  // Which inputs pullback() is to differentiate; the others come back as zeros. Matters to predictors whose gradients cost
-  // one simulation per input.
+  // Which inputs pullback() is to differentiate; the others come back as zeros. Matters to predictors whose gradients
+  // cost one simulation per input.
   bool control_gradients = true;
   bool knowledge_gradients = true;
 };
@@ -55,7 +55,7 @@ struct ShapeCotangent {
 
 /// dL/d(inputs) of one case.
 struct CaseGradient {
-  Controls controls;                                    ///< [k, C]
+  Controls controls;  ///< [k, C]
   PropertyVector centre = PropertyVector::Zero();
   PropertyVector width = PropertyVector::Zero();
   Vector state;     ///< [S] by capability, else empty
@@ -69,7 +69,8 @@ struct CaseDirection {
   PropertyVector width = PropertyVector::Zero();
 };
 
-/// Result of one batched prediction, with what is needed to differentiate it. Owns everything: several are alive at once.
+/// Result of one batched prediction, with what is needed to differentiate it. Owns everything: several are alive at
+/// once.
 class WEFT_API Prediction {
  public:
   virtual ~Prediction() = default;
@@ -89,8 +90,8 @@ struct PredictorCapabilities {
   bool state_gradients = false;  ///< ... and control state
   bool shape_gradients = false;  ///< ... and start shape
   bool jvp = false;
-  bool deterministic = true;     ///< same input, same bits, whatever else is in the batch
-  bool needs_binding = true;     ///< bind() must come before predict()
+  bool deterministic = true;  ///< same input, same bits, whatever else is in the batch
+  bool needs_binding = true;  ///< bind() must come before predict()
 };
 
 /// Predicts shapes from a start shape, controls and material knowledge (section 2.3). Thread-safe after bind().
@@ -104,7 +105,8 @@ class WEFT_API Predictor {
   /// Called once, before any predict(). @throws ConfigError if it was trained for another garment, trajectory or
   /// manipulation than the task's.
   virtual void bind(const Task& task) = 0;
-  /// @throws ShapeError for wrong sizes, Error for non-finite input. A case that fails numerically is recorded as failed.
+  /// @throws ShapeError for wrong sizes, Error for non-finite input. A case that fails numerically is recorded as
+  /// failed.
   virtual std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                               const PredictionRequest& request) const = 0;
 };
