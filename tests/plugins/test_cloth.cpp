@@ -22,6 +22,8 @@ std::atomic<long> allocations{0};
 }
 // Counts what the program allocates, for AllocatesNothingInTheFrameLoop. (Aligned new goes through malloc-family calls
 // too.)
+// The compiler inlines the pairs and takes malloc and delete for a mismatch.
+#pragma GCC diagnostic ignored "-Wmismatched-new-delete"
 void* operator new(std::size_t size) {
   ++allocations;
   if (void* p = std::malloc(size)) return p;
