@@ -18,7 +18,7 @@ struct PlannerParams {
   std::int64_t leeway = 5;
   double noise = 1.0;
   double replan_noise = 0.3;
-  double replan_scale = 0.25;
+  double replan_scale = 1.0;
   double activity_weight = 1.0;
   double slowness_weight = 10.0;
   double time_budget_s = 0.0;
