@@ -41,8 +41,8 @@ TEST_P(Physics, IsWithinItsBounds) {
     }
 }
 
-/// All but the crease of the garment that ships: its 22 mm mesh misses the bound (0.63 of the heavy loop against 0.25), and
-/// the mesh is not settled yet. The suite itself still measures it.
+/// All but the crease of the garment that ships: its 22 mm mesh misses the bound (0.63 of the heavy loop against 0.25),
+/// and the mesh is not settled yet. The suite itself still measures it.
 std::vector<std::string> names_with_bounds_met() {
   auto names = physics_test_names();
   std::erase(names, "garment crease");
