@@ -1,5 +1,6 @@
 #include "context.hpp"
 
+#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <iostream>
@@ -7,7 +8,8 @@
 namespace weft::app {
 namespace {
 
-volatile bool interrupted = false;
+std::atomic<bool> interrupted = false;  // set in a signal handler: must be lock-free
+static_assert(std::atomic<bool>::is_always_lock_free);
 
 }  // namespace
 
@@ -55,7 +57,8 @@ void add_common_options(CLI::App& command, Context& context) {
   command.add_option("--set", context.overrides, "Replace a value of the config: key.path=value (repeatable)")
       ->allow_extra_args(false)
       ->type_name("KEY=VALUE");
-  command.add_option("--seed", context.seed, "Seed of everything random");
+  command.add_option("--seed", context.seed, "Seed of everything random")
+      ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{9000000000000000000}));
   command.add_option("--out", context.out, "Output folder or file");
   command.add_option("--jobs", context.jobs, "Threads; 0: all cores")->check(CLI::Range(0, 1024));
   command.add_flag("--quiet", context.quiet, "Print nothing but errors");

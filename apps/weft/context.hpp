@@ -43,5 +43,6 @@ void register_conformance(CLI::App& app, Context& context);
 void register_garment(CLI::App& app, Context& context);
 void register_simulate(CLI::App& app, Context& context);
 void register_displacement(CLI::App& app, Context& context);
+void register_evaluate(CLI::App& app, Context& context);
 
 }  // namespace weft::app

@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
   register_simulate(app, context);
   register_displacement(app, context);
   register_garment(app, context);
+  register_evaluate(app, context);
   register_conformance(app, context);
   register_plugins(app, context);
   register_describe(app, context);

@@ -127,7 +127,7 @@ class ProgramHost final : public Host {
   void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
     pool_.run(count, body);
   }
-  bool cancelled() const override { return options_.cancel != nullptr && *options_.cancel; }
+  bool cancelled() const override { return options_.cancel != nullptr && options_.cancel->load(); }
   void log(LogLevel level, const std::string& message) override {
     if (!options_.log) return;
     const std::lock_guard lock(log_mutex_);

@@ -2,6 +2,7 @@
 
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
+#include "weft/hdf5_file.hpp"
 
 namespace weft {
 namespace {
@@ -32,7 +33,8 @@ TEST(Program, HelpAndVersionExitWithZero) {
 
 TEST(Program, WrongUseExitsWithTwoAndSaysWhy) {
   for (const char* arguments : {"", "fold", "plugins --frobnicate", "describe", "plugins --jobs many",
-                                "plugins --jobs -1", "run", "plugins extra words"}) {
+                                "plugins --jobs -1", "run task.yaml --seed -1",
+                                "run task.yaml --seed 9223372036854775808", "evaluate", "run", "plugins extra words"}) {
     const Outcome outcome = weft_command(arguments);
     EXPECT_EQ(outcome.code, 2) << arguments;
     EXPECT_FALSE(outcome.output.empty()) << arguments;
@@ -61,6 +63,58 @@ TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {
   EXPECT_THAT(refused(kTask, "--set planning.instances=none"),
               HasSubstr("--set planning.instances: planning.instances = none, must be a whole number"));
   EXPECT_THAT(refused(kTask, "--set planning"), HasSubstr("--set planning: must be key.path=value"));
+}
+
+TEST(Program, ASavedConfigRepeatsTheRunBitForBit) {
+  const Folder folder;
+  const auto task =
+      folder.write("task.yaml", "garment: " WEFT_SOURCE_DIR
+                                "/configs/garments/towel_coarse.yaml\n"
+                                "material: " WEFT_SOURCE_DIR
+                                "/configs/fabrics/basic.yaml\n"
+                                "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
+                                "predictor: {plugin: rollout}\n"
+                                "optimiser: {plugin: rprop}\n"
+                                "planning: {instances: 2, iterations: 2, replan_iterations: 1, horizon: 12}\n"
+                                "goal: {random: {min_distance_mm: 10}}\n"
+                                "settle: {max_frames: 30}\n");
+  const auto run = [&](const std::filesystem::path& config, const char* out, const std::string& options) {
+    const Outcome outcome =
+        weft_command("run '" + config.string() + "' --quiet --out '" + (folder / out).string() + "' " + options);
+    ASSERT_EQ(outcome.code, 0) << outcome.output;
+  };
+  run(task, "first", "--seed 12 --jobs 2 --set planning.iterations=3");
+  run(folder / "first/config.yaml", "again", "--jobs 1");
+  const auto first = Hdf5File::open(folder / "first/session.h5"), again = Hdf5File::open(folder / "again/session.h5");
+  const auto rounds = first.list("/rounds");
+  ASSERT_GE(rounds.size(), 2u);
+  ASSERT_EQ(again.list("/rounds"), rounds);
+  std::vector<std::string> arrays{"/frames", "/goal", "/default_shape", "/final_shape", "/true_material"};
+  for (const auto& round : rounds)
+    for (const auto& array : first.list("/rounds/" + round)) arrays.push_back("/rounds/" + round + "/" + array);
+  for (const auto& array : arrays) {
+    EXPECT_EQ(first.shape(array), again.shape(array)) << array;
+    EXPECT_EQ(first.read(array), again.read(array)) << array;
+  }
+}
+
+TEST(Program, EvaluatePhysicsWritesWhatItPrints) {
+  const Folder folder;
+  const std::string command = "evaluate physics " WEFT_SOURCE_DIR "/configs/experiments/physics.yaml --out '" +
+                              (folder / "out").string() + "' --set 'physics.tests=[free fall, rest]'";
+  const Outcome outcome = weft_command(command);
+  EXPECT_EQ(outcome.code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, AllOf(HasSubstr("ok   free fall"), HasSubstr("2 comparisons, 0 outside their bound")));
+  std::ifstream file(folder / "out/physics.json");
+  const auto json = nlohmann::json::parse(file);
+  EXPECT_EQ(json.at("comparisons"), 2);
+  for (const auto& row : json.at("rows")) {
+    EXPECT_TRUE(row.at("passed").get<bool>());
+    EXPECT_LE(row.at("error").get<double>(), row.at("bound").get<double>());
+  }
+  const Outcome unknown = weft_command(command + " --set 'physics.tests=[freefall]'");
+  EXPECT_EQ(unknown.code, 2);
+  EXPECT_THAT(unknown.output, HasSubstr("nearest is 'free fall'"));
 }
 
 TEST(Program, PluginsListsEveryShippedPlugin) {

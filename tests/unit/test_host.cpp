@@ -118,7 +118,7 @@ TEST(Host, SeedReachesTheRandomStreams) {
 }
 
 TEST(Host, CancelledFollowsTheFlag) {
-  bool cancel = false;
+  std::atomic<bool> cancel = false;
   HostOptions options;
   options.cancel = &cancel;
   const auto host = host_with(1, options);

@@ -1,4 +1,5 @@
 #pragma once
+#include <atomic>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -50,7 +51,7 @@ struct HostOptions {
   int threads = 0;  ///< 0: all cores
   std::uint64_t seed = 0;
   std::function<void(LogLevel, const std::string&)> log;  ///< null: silent
-  const volatile bool* cancel = nullptr;                  ///< set by a signal handler
+  const std::atomic<bool>* cancel = nullptr;              ///< set by a signal handler
 };
 /// The host that the program gives to its plugins. Must outlive them.
 WEFT_API std::unique_ptr<Host> make_host(std::shared_ptr<const PluginRegistry> registry, const HostOptions& options);

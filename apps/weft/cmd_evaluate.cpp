@@ -1,0 +1,14 @@
+#include "context.hpp"
+
+namespace weft::app {
+
+// One per file cmd_evaluate_*.cpp.
+void register_evaluate_physics(CLI::App& evaluate, Context& context);
+
+void register_evaluate(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("evaluate", "Measure a part of weft against what is known to be true");
+  command->require_subcommand(1);
+  register_evaluate_physics(*command, context);
+}
+
+}  // namespace weft::app
