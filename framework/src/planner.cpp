@@ -4,6 +4,8 @@
 #include <chrono>
 #include <cmath>
 
+#include "weft/jvp.hpp"
+
 namespace weft {
 namespace {
 
@@ -57,19 +59,23 @@ class PlanningObjective final : public Objective {
       : task_(task), predictor_(predictor), params_(params), request_(request), horizon_(horizon) {}
 
   Index dim() const override { return task_.trajectory->decision_size(horizon_); }
-  ObjectiveCapabilities capabilities() const override { return {.gradients = predictor_.capabilities().gradients}; }
+  /// Residuals: the shape's (3 V), then those of the activity loss. Cost = 1/2 |r|^2 up to rounding.
+  ObjectiveCapabilities capabilities() const override {
+    const auto controls = static_cast<Index>(task_.trajectory->controls().size());
+    return {.gradients = predictor_.capabilities().gradients,
+            .residuals = request_.goal->size() + (horizon_ - 1) * controls + horizon_};
+  }
 
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
     require_shape("planning objective: x rows", x.rows(), dim());
     require_shape("planning objective: instances", static_cast<Index>(instances.size()), x.cols());
-    if (wanted.residuals) throw Unsupported("planning objective: offers no residuals");
     if (wanted.gradients && !capabilities().gradients)
       throw Unsupported("planning objective: the predictor has no gradients");
     const Index n = x.cols();
     std::vector<PredictionCase> cases;
     for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
     const auto prediction = predictor_.predict(cases, {.moments = Moments::mean,
-                                                       .gradients = wanted.gradients,
+                                                       .gradients = wanted.gradients || uses_jvp(wanted),
                                                        .control_gradients = true,
                                                        .knowledge_gradients = false});
     evaluations_ += n;
@@ -104,6 +110,7 @@ class PlanningObjective final : public Objective {
         result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
       }
     }
+    if (wanted.residuals || wanted.jacobians) add_residuals(x, cases, *prediction, wanted.jacobians, result);
     return result;
   }
 
@@ -118,6 +125,63 @@ class PlanningObjective final : public Objective {
   Index evaluations() const { return evaluations_; }
 
  private:
+  bool uses_jvp(const EvaluationRequest& wanted) const { return wanted.jacobians && predictor_.capabilities().jvp; }
+
+  /// Eq. 4 as 1/2 |r|^2. The release segment u is held fixed for the Jacobian, as it is for the gradient.
+  void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
+                     bool with_jacobians, Evaluation& result) {
+    const Index rows = capabilities().residuals, columns = dim(), n = x.cols();
+    const Index shape_rows = request_.goal->size();
+    const double shape_weight = std::sqrt(2.0 * kSquareMm / static_cast<double>(shape_rows));
+    const double activity_weight = std::sqrt(2.0 * params_.activity_weight);
+    result.residuals = Matrix::Zero(rows, n);
+    if (with_jacobians) result.jacobians.assign(static_cast<std::size_t>(n), Matrix::Zero(rows, columns));
+    std::vector<std::vector<CaseDirection>> directions(static_cast<std::size_t>(n));
+    std::vector<std::vector<Index>> variables(directions.size());  // of x, one per direction
+    for (Index i = 0; i < n; ++i) {
+      const auto at = static_cast<std::size_t>(i);
+      if (!std::isfinite(result.costs(i))) continue;
+      const auto& one = cases[at];
+      const Index u = one.segments.front();
+      const Positions difference = prediction.shapes()[at].front().mean - *request_.goal;
+      result.residuals.col(i).head(shape_rows) =
+          shape_weight * Eigen::Map<const Vector>(difference.data(), difference.size());
+      Matrix d_activity;
+      const Vector activity = activity_residuals(task_, request_.state, one.controls, u, params_.slowness_weight,
+                                                 with_jacobians ? &d_activity : nullptr);
+      result.residuals.col(i).tail(activity.size()) = activity_weight * activity;
+      if (!with_jacobians) continue;
+      // d controls / dx up to u, row by row; what comes later moves nothing.
+      const Index controls = one.controls.cols();
+      Matrix decode(u * controls, columns);
+      Controls unit = Controls::Zero(one.controls.rows(), controls);
+      for (Index k = 0; k < decode.rows(); ++k) {
+        unit.data()[k] = 1.0;
+        decode.row(k) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, unit).transpose();
+        unit.data()[k] = 0.0;
+      }
+      result.jacobians[at].bottomRows(activity.size()) = activity_weight * d_activity.leftCols(decode.rows()) * decode;
+      for (Index k = 0; k < columns; ++k) {
+        if (decode.col(k).isZero(0.0)) continue;
+        CaseDirection direction;
+        direction.controls = Controls::Zero(one.controls.rows(), controls);
+        Eigen::Map<Vector>(direction.controls.data(), decode.rows()) = decode.col(k);
+        directions[at].push_back(std::move(direction));
+        variables[at].push_back(k);
+      }
+    }
+    if (!with_jacobians) return;
+    const auto derivatives = directional_derivatives(predictor_, prediction, cases, directions, *task_.trajectory,
+                                                     Moments::mean, {.step = params_.difference_step}, &evaluations_);
+    for (std::size_t i = 0; i < variables.size(); ++i) {
+      for (std::size_t k = 0; k < variables[i].size(); ++k) {
+        const Positions& change = derivatives[i][k].front().mean;
+        result.jacobians[i].col(variables[i][k]).head(shape_rows) =
+            shape_weight * Eigen::Map<const Vector>(change.data(), change.size());
+      }
+    }
+  }
+
   const Task& task_;
   const Predictor& predictor_;
   const PlannerParams& params_;
@@ -127,6 +191,46 @@ class PlanningObjective final : public Objective {
 };
 
 }  // namespace
+
+Vector activity_residuals(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
+                          Matrix* jacobian) {
+  const auto& trajectory = *task.trajectory;
+  const auto variables = trajectory.controls();
+  const Index horizon = controls.rows(), columns = controls.cols();
+  const Controls states = trajectory.segment_states(task.manipulation, state, controls);
+  Vector residuals = Vector::Zero((horizon - 1) * columns + horizon);
+  if (jacobian) *jacobian = Matrix::Zero(residuals.size(), controls.size());
+  const double root = std::sqrt(1.0 / static_cast<double>(u));
+  for (Index j = 0; j + 1 < u; ++j) {
+    for (Index c = 0; c < columns; ++c) {
+      const double factor = root / variables[static_cast<std::size_t>(c)].scale;
+      const Index row = j * columns + c;
+      residuals(row) = factor * (controls(j + 1, c) - controls(j, c));
+      if (jacobian) {
+        (*jacobian)(row, row + columns) = factor;
+        (*jacobian)(row, row) = -factor;
+      }
+    }
+  }
+  const double pace = std::max(1e-9, 1.0 - trajectory.progress(state)) / static_cast<double>(horizon);
+  const double slow_root = root * std::sqrt(slowness_weight);
+  for (Index j = 0; j < u; ++j) {
+    const Vector after = states.row(j).transpose();
+    const Vector before = j == 0 ? Vector(state) : Vector(states.row(j - 1).transpose());
+    const double slowness = 1.0 - (trajectory.progress(after) - trajectory.progress(before)) / pace;
+    if (slowness <= 0.0) continue;
+    const Index row = (horizon - 1) * columns + j;
+    residuals(row) = slow_root * slowness;
+    if (jacobian) {
+      Controls d_states = Controls::Zero(horizon, states.cols());
+      d_states.row(j) = -slow_root / pace * progress_gradient(trajectory, after).transpose();
+      if (j > 0) d_states.row(j - 1) = slow_root / pace * progress_gradient(trajectory, before).transpose();
+      const Controls gradient = states_pullback(task, state, controls, d_states);
+      jacobian->row(row) = Eigen::Map<const Eigen::RowVectorXd>(gradient.data(), gradient.size());
+    }
+  }
+  return residuals;
+}
 
 double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
                      Controls* gradient) {
@@ -174,9 +278,6 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
     throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
   }
-  if (optimiser_->capabilities().needs_residuals) {
-    throw Unsupported("the optimiser needs residuals, which planning does not offer");
-  }
 }
 
 Plan Planner::plan(const PlanRequest& request) const {
@@ -211,12 +312,14 @@ Plan Planner::plan(const PlanRequest& request) const {
   options.max_iterations = first ? params_.iterations : params_.replan_iterations;
   options.seed = RandomStream(request.seed, 0x6f707469ull, static_cast<std::uint64_t>(request.round)).bits64();
   const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
-  if (is_replay)
-    options.max_iterations = static_cast<Index>(params_.replay_iterations[static_cast<std::size_t>(request.round)]);
+  if (params_.max_evaluations > 0) options.max_evaluations = params_.max_evaluations;
+  const Index replayed =
+      is_replay ? static_cast<Index>(params_.replay_iterations[static_cast<std::size_t>(request.round)]) : 0;
   const auto observer = [&](Index iteration, const Vector& best) {
     plan.iterations = iteration;
     plan.curves.emplace_back(best.data(), best.data() + best.size());
-    const bool in_time = is_replay || params_.time_budget_s <= 0.0 || elapsed() < params_.time_budget_s;
+    const bool in_time =
+        is_replay ? iteration < replayed : params_.time_budget_s <= 0.0 || elapsed() < params_.time_budget_s;
     return in_time && !host_.cancelled();
   };
   const auto results = optimiser_->minimise(objective, starts, bounds,

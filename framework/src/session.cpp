@@ -120,7 +120,7 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
 
   // What the default control gives, and the goal.
   const auto reference = host.create<Simulator>(task.simulator);
-  const Index horizon = params.planning.horizon;
+  const Index horizon = params.goal.horizon;
   result.default_shape =
       simulate_fold(*reference, task, result.true_material, trajectory.default_controls(horizon)).shapes.back();
   const MaterialProperties goal_material = params.goal.material.empty()

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <numeric>
 
 #include "optimiser/rprop/rprop.cpp"
 #include "trajectory/arc/arc.cpp"
@@ -242,6 +243,116 @@ TEST(ActivityLoss, GradientEqualsCentralDifferences) {
       EXPECT_NEAR(gradient(j, c) * scale, expected * scale, 1e-5) << j << ", " << c;
     }
   }
+}
+
+/// An optimiser that hands the objective to a test.
+class Probe final : public Optimiser {
+ public:
+  using Body = std::function<void(Objective&, ConstMatrix)>;
+  explicit Probe(Body body) : body_(std::move(body)) {}
+  OptimiserCapabilities capabilities() const override { return {.needs_residuals = true}; }
+  std::vector<OptimiserResult> minimise(Objective& objective, ConstMatrix starts, const Box&, ConstVec,
+                                        const OptimiserOptions& options, const OptimiserObserver&) const override {
+    seen = options;
+    body_(objective, starts);
+    OptimiserResult result;
+    result.x = starts.col(0);
+    result.cost = 1.0;
+    return {result};
+  }
+  mutable OptimiserOptions seen;
+
+ private:
+  Body body_;
+};
+
+TEST(PlanningObjective, HalfTheSquaredResidualsAreTheCostAndTheirJacobianGivesItsGradient) {
+  Bench setup;
+  setup.params.activity_weight = 3.0;
+  setup.params.noise = 2.0;  // slow segments among them
+  setup.params.difference_step = 1e-3;
+  setup.optimiser = std::make_shared<Probe>([&](Objective& f, ConstMatrix starts) {
+    const Index r = f.capabilities().residuals;
+    EXPECT_EQ(r, 6 + 24 * 5 + 25);
+    std::vector<Index> instances(static_cast<std::size_t>(starts.cols()));
+    std::iota(instances.begin(), instances.end(), 0);
+    const Evaluation plain = f.evaluate(starts, instances, {.gradients = true});
+    const Evaluation e = f.evaluate(starts, instances, {.residuals = true, .jacobians = true});
+    const Evaluation no_jacobian = f.evaluate(starts, instances, {.residuals = true});
+    ASSERT_EQ(e.residuals.rows(), r);
+    ASSERT_EQ(static_cast<Index>(e.jacobians.size()), starts.cols());
+    EXPECT_TRUE(no_jacobian.jacobians.empty());
+    EXPECT_EQ(no_jacobian.residuals, e.residuals);
+    EXPECT_EQ(e.costs, plain.costs);
+    for (Index i = 0; i < starts.cols(); ++i) {
+      EXPECT_NEAR(0.5 * e.residuals.col(i).squaredNorm(), e.costs(i), 1e-9 * e.costs(i));
+      const Vector gradient = e.jacobians[static_cast<std::size_t>(i)].transpose() * e.residuals.col(i);
+      EXPECT_LT((gradient - plain.gradients.col(i)).norm(), 1e-4 * plain.gradients.col(i).norm()) << i;
+    }
+  });
+  setup.plan();
+}
+
+TEST(PlanningObjective, OffersResidualsWithoutGradients) {
+  Bench setup;
+  setup.predictor->has_gradients = false;
+  setup.optimiser = std::make_shared<Probe>([&](Objective& f, ConstMatrix starts) {
+    EXPECT_FALSE(f.capabilities().gradients);
+    EXPECT_TRUE(f.evaluate(starts.leftCols(1), {0}, {.residuals = true, .jacobians = true}).jacobians[0].allFinite());
+    EXPECT_THROW(f.evaluate(starts.leftCols(1), {0}, {.gradients = true}), Unsupported);
+  });
+  setup.plan();
+}
+
+TEST(PlanningObjective, CountsThePredictionsOfFiniteDifferences) {
+  Bench setup;
+  setup.params.instances = 1;
+  setup.optimiser = std::make_shared<Probe>(
+      [&](Objective& f, ConstMatrix starts) { f.evaluate(starts, {0}, {.residuals = true, .jacobians = true}); });
+  // 8 segments of 5 controls up to the release, both sides; the point itself; the winner's sequence.
+  EXPECT_EQ(setup.plan().evaluations, 1 + 2 * 8 * 5 + 1);
+}
+
+TEST(PlanningObjective, TakesSeveralPointsOfAnInstance) {
+  Bench setup;
+  setup.optimiser = std::make_shared<Probe>([&](Objective& f, ConstMatrix starts) {
+    Matrix x(starts.rows(), 3);
+    x << starts.col(0), starts.col(1), starts.col(0);
+    const Evaluation e = f.evaluate(x, {0, 0, 2}, {});
+    EXPECT_EQ(e.costs(0), e.costs(2));
+    EXPECT_NE(e.costs(0), e.costs(1));
+  });
+  setup.plan();
+}
+
+TEST(Planner, EvaluationBudgetReachesTheOptimiser) {
+  Bench setup;
+  const auto probe = std::make_shared<Probe>([](Objective&, ConstMatrix) {});
+  setup.optimiser = probe;
+  setup.plan();
+  EXPECT_EQ(probe->seen.max_evaluations, std::numeric_limits<Index>::max());
+  setup.params.max_evaluations = 12;
+  setup.plan();
+  EXPECT_EQ(probe->seen.max_evaluations, 12);
+}
+
+TEST(ActivityLoss, ResidualsAreItsRoots) {
+  Bench setup;
+  Controls controls = setup.task.trajectory->default_controls(9);
+  RandomStream random(5);
+  const auto variables = setup.task.trajectory->controls();
+  for (Index j = 0; j < controls.rows(); ++j)
+    for (Index c = 0; c < controls.cols(); ++c)
+      controls(j, c) += 0.5 * variables[static_cast<std::size_t>(c)].scale * random.normal();
+  controls(2, 0) = 0.7;  // slow on purpose
+  Matrix jacobian;
+  Controls gradient;
+  const Vector r = activity_residuals(setup.task, setup.request.state, controls, 7, 10.0, &jacobian);
+  EXPECT_EQ(r.size(), 8 * 5 + 9);
+  EXPECT_NEAR(r.squaredNorm(), activity_loss(setup.task, setup.request.state, controls, 7, 10.0, &gradient), 1e-12);
+  const Vector from_residuals = 2.0 * jacobian.transpose() * r;
+  const Vector wanted = Eigen::Map<const Vector>(gradient.data(), gradient.size());
+  EXPECT_LT((from_residuals - wanted).norm(), 1e-9 * wanted.norm());
 }
 
 }  // namespace

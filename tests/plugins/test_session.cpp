@@ -85,6 +85,18 @@ TEST_F(Session, AnotherSeedIsAnotherGoalAndAnotherFabric) {
   EXPECT_NE(a.true_material, b.true_material);
 }
 
+TEST_F(Session, AnotherPlanningHorizonIsNoOtherGoal) {
+  const std::vector<std::string> quick = {"planning.iterations=0", "planning.replan_iterations=0",
+                                          "planning.instances=1"};
+  auto longer = quick, other = quick;
+  longer.push_back("planning.horizon=20");
+  other.push_back("goal.horizon=12");
+  const SessionResult a = run(quick), b = run(longer), c = run(other);
+  EXPECT_EQ(a.goal, b.goal);
+  EXPECT_EQ(a.default_shape, b.default_shape);
+  EXPECT_NE(a.goal, c.goal);
+}
+
 TEST_F(Session, HorizonFollowsThePaper) {
   const SessionResult result = run({"planning.iterations=0", "planning.replan_iterations=0", "planning.instances=1"});
   EXPECT_EQ(result.rounds[0].plan.horizon, 14);

@@ -22,6 +22,8 @@ struct PlannerParams {
   double activity_weight = 1.0;
   double slowness_weight = 10.0;
   double time_budget_s = 0.0;
+  std::int64_t max_evaluations = 0;
+  double difference_step = 0.1;
   std::vector<double> replay_iterations;
 
   template <class Visitor>
@@ -40,8 +42,13 @@ struct PlannerParams {
     v("slowness_weight", slowness_weight, range(0, 1e6),
       "Weight inside L_act of segments that progress too slowly to finish within the horizon.");
     v("time_budget_s", time_budget_s, range(0, 1e6, "s"), "Stop a plan after this time; 0: never.");
+    v("max_evaluations", max_evaluations, range(0, 1e9),
+      "Points that one instance of a plan may evaluate; 0: no limit.");
+    v("difference_step", difference_step, range(1e-6, 10),
+      "Step of a least squares optimiser's central differences where the predictor has no directional derivatives, in "
+      "units of each control's scale.");
     v("replay_iterations", replay_iterations, range(0, 1e9),
-      "Iterations of each plan of a run that was limited by time: repeats it without a clock.");
+      "Batches of each plan of a run that was limited by time (its plan_iterations): repeats it without a clock.");
   }
 };
 
@@ -68,7 +75,7 @@ struct Plan {
   std::vector<std::vector<double>> curves;  ///< [iterations] of [instances]: best loss so far
   std::vector<ShapeDistribution> shapes;    ///< [u]: the winner's prediction after every segment
   Index iterations = 0;
-  Index evaluations = 0;  ///< points, over all instances
+  Index evaluations = 0;  ///< points predicted, over all instances, with those of finite differences
   double seconds = 0.0;
 };
 
@@ -78,6 +85,10 @@ struct Plan {
 /// The paper names the loss's purpose and not its form; this form is ours.
 WEFT_API double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u,
                               double slowness_weight, Controls* gradient);
+/// The same as a sum of squares: L_act = |r|^2, r [(k-1) C + k] for k rows of controls; entries beyond u are zero.
+/// @param jacobian null, or set to dr / d controls row by row, [r, k C].
+WEFT_API Vector activity_residuals(const Task& task, ConstVec state, const Controls& controls, Index u,
+                                   double slowness_weight, Matrix* jacobian);
 
 /// Trajectory planning (section 4). Uses the predictor for shapes and gradients, the optimiser for the search.
 class WEFT_API Planner {

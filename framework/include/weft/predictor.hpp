@@ -9,6 +9,8 @@
 
 namespace weft {
 
+class TrainablePredictor;
+
 /// What is fixed for a manipulation session and known to every predictor.
 struct Task {
   std::shared_ptr<const Garment> garment;
@@ -98,7 +100,7 @@ struct PredictorCapabilities {
 class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
-  static constexpr int kVersion = 1;  // bump on any change to this class or the types above
+  static constexpr int kVersion = 2;  // bump on any change to this class or the types above
   virtual ~Predictor() = default;
 
   virtual PredictorCapabilities capabilities() const = 0;
@@ -109,6 +111,8 @@ class WEFT_API Predictor {
   /// failed.
   virtual std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                               const PredictionRequest& request) const = 0;
+  /// This predictor's learning side (trainable.hpp), or null when it does not learn.
+  virtual TrainablePredictor* trainable() { return nullptr; }
 };
 
 }  // namespace weft

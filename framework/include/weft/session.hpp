@@ -66,6 +66,7 @@ struct GoalParams {
     }
   } random;
   std::vector<double> material;
+  std::int64_t horizon = 25;
 
   template <class Visitor>
   void visit(Visitor& v) {
@@ -74,6 +75,10 @@ struct GoalParams {
     v("controls", controls, "Controls to simulate: a list of rows, or one row repeated until release.");
     v.group("random", random, "A random trajectory's result; used when nothing else is given.");
     v("material", material, range(0, 1), "Material under which controls are simulated; default: the true one.");
+    v("horizon", horizon, range(1, 200, "segments"),
+      "Longest trajectory of a simulated goal and of the default control; apart from planning.horizon, so that "
+      "planners "
+      "with another one get the same goal.");
   }
 };
 

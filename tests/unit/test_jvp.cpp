@@ -1,0 +1,165 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "toy_trajectory.hpp"
+#include "weft/jvp.hpp"
+
+namespace weft {
+namespace {
+
+/// One vertex; after segment j: x = sum of the controls up to j squared, y = centre_0 + width_1^2, z = 3. sigma =
+/// width_2 + 1.
+struct Formula final : Prediction {
+  explicit Formula(const std::vector<PredictionCase>& cases, double broken_above) {
+    for (const auto& one : cases) {
+      failures.emplace_back(one.controls(0, 0) > broken_above ? "broken" : "");
+      std::vector<ShapeDistribution> of;
+      for (const Index j : one.segments) {
+        const double s = one.controls.topRows(j).sum();
+        Positions mean(1, 3), sigma = Positions::Constant(1, 3, one.knowledge.width(2) + 1.0);
+        mean << s * s, one.knowledge.centre(0) + std::pow(one.knowledge.width(1), 2), 3.0;
+        if (failures.back().empty()) of.push_back({mean, sigma});
+      }
+      all.push_back(of);
+    }
+  }
+  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return all; }
+  const std::string& failure(std::size_t i) const override { return failures.at(i); }
+  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>&) const override {
+    throw Unsupported("formula");
+  }
+  std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
+      const std::vector<std::vector<CaseDirection>>& directions) const override {
+    return std::vector<std::vector<std::vector<ShapeCotangent>>>(directions.size());
+  }
+  std::vector<std::vector<ShapeDistribution>> all;
+  std::vector<std::string> failures;
+};
+
+struct FormulaPredictor final : Predictor {
+  bool has_jvp = false;
+  double broken_above = 1e9;
+  mutable std::vector<std::vector<PredictionCase>> batches;
+  PredictorCapabilities capabilities() const override { return {.jvp = has_jvp}; }
+  void bind(const Task&) override {}
+  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
+                                      const PredictionRequest&) const override {
+    batches.push_back(cases);
+    return std::make_unique<Formula>(cases, broken_above);
+  }
+};
+
+PredictionCase start() {
+  PredictionCase one;
+  one.controls = Controls::Constant(3, 1, 0.02);
+  one.segments = {1, 3};
+  one.knowledge.centre << 0.5, 0.5, 0.5, 0.5;
+  one.knowledge.width << 0.4, 0.4, 0.4, 0.4;
+  return one;
+}
+CaseDirection along(double a, double b, double c) {
+  CaseDirection d;
+  d.controls.resize(3, 1);
+  d.controls << a, b, c;
+  return d;
+}
+
+struct Jvp : testing::Test {
+  FormulaPredictor predictor;
+  test::ToyTrajectory trajectory;  // scale 0.01
+  std::vector<std::vector<std::vector<ShapeCotangent>>> derive(
+      const std::vector<PredictionCase>& cases, const std::vector<std::vector<CaseDirection>>& directions,
+      const JvpOptions& options = {}, Index* predicted = nullptr) {
+    const auto base = predictor.predict(cases, {});
+    predictor.batches.clear();
+    return directional_derivatives(predictor, *base, cases, directions, trajectory, Moments::mean_and_sigma, options,
+                                   predicted);
+  }
+};
+
+TEST_F(Jvp, DifferencesOfAQuadraticAreExact) {
+  Index predicted = 0;
+  const auto d = derive({start(), start()}, {{along(1, 0, 0), along(0, 2, 1)}, {along(0, 0, 1)}}, {}, &predicted);
+  ASSERT_EQ(d.size(), 2u);
+  ASSERT_EQ(d[0].size(), 2u);
+  ASSERT_EQ(d[0][0].size(), 2u);
+  EXPECT_NEAR(d[0][0][0].mean(0, 0), 2 * 0.02, 1e-12);  // segment 1: d (m1^2)
+  EXPECT_NEAR(d[0][0][1].mean(0, 0), 2 * 0.06, 1e-12);  // segment 3
+  EXPECT_NEAR(d[0][1][0].mean(0, 0), 0.0, 1e-12);
+  EXPECT_NEAR(d[0][1][1].mean(0, 0), 2 * 0.06 * 3.0, 1e-12);
+  EXPECT_NEAR(d[1][0][1].mean(0, 0), 2 * 0.06, 1e-12);
+  EXPECT_EQ(d[0][0][0].sigma.cwiseAbs().maxCoeff(), 0.0);
+  EXPECT_EQ(predicted, 6);
+}
+
+TEST_F(Jvp, StepIsInUnitsOfTheScale) {
+  JvpOptions options;
+  options.step = 0.5;
+  derive({start()}, {{along(0, 4, 1)}}, options);
+  ASSERT_EQ(predictor.batches.size(), 1u);
+  EXPECT_NEAR(predictor.batches[0][0].controls(1, 0), 0.02 + 0.5 * 0.01, 1e-15);
+  EXPECT_NEAR(predictor.batches[0][1].controls(1, 0), 0.02 - 0.5 * 0.01, 1e-15);
+  EXPECT_NEAR(predictor.batches[0][0].controls(2, 0), 0.02 + 0.125 * 0.01, 1e-15);
+}
+
+TEST_F(Jvp, KnowledgeStaysWithinItsInterval) {
+  PredictionCase one = start();
+  one.knowledge.centre(0) = 1.0;
+  one.knowledge.width(1) = 0.03;
+  CaseDirection centre = along(0, 0, 0), width = along(0, 0, 0), sigma = along(0, 0, 0);
+  centre.centre(0) = 1.0;
+  width.width(1) = 1.0;
+  sigma.width(2) = 1.0;
+  const auto d = derive({one}, {{centre, width, sigma}});
+  EXPECT_NEAR(d[0][0][0].mean(0, 1), 1.0, 1e-12);                   // one side only
+  EXPECT_NEAR(d[0][1][0].mean(0, 1), (0.13 * 0.13) / 0.13, 1e-12);  // between 0 and 0.13, slope at the middle
+  EXPECT_NEAR(d[0][2][1].sigma(0, 2), 1.0, 1e-12);
+  for (const auto& perturbed : predictor.batches[0]) {
+    EXPECT_GE(perturbed.knowledge.width.minCoeff(), 0.0);
+    EXPECT_LE(perturbed.knowledge.centre.maxCoeff(), 1.0);
+  }
+}
+
+TEST_F(Jvp, BatchesAreLimited) {
+  JvpOptions options;
+  options.batch = 4;
+  const auto d =
+      derive({start()}, {{along(1, 0, 0), along(0, 1, 0), along(0, 0, 1), along(1, 1, 1), along(1, 0, 1)}}, options);
+  ASSERT_EQ(predictor.batches.size(), 3u);
+  EXPECT_EQ(predictor.batches[2].size(), 2u);
+  EXPECT_NEAR(d[0][3][1].mean(0, 0), 2 * 0.06 * 3.0, 1e-12);
+}
+
+TEST_F(Jvp, ASideThatFailsIsReplacedByTheCaseItself) {
+  predictor.broken_above = 0.0205;
+  const auto d = derive({start()}, {{along(1, 0, 0)}});
+  EXPECT_NEAR(d[0][0][0].mean(0, 0), (0.02 * 0.02 - 0.019 * 0.019) / 0.001, 1e-12);
+}
+
+TEST_F(Jvp, CasesWithoutResultAndDirectionsOfZeros) {
+  predictor.broken_above = 0.5;
+  PredictionCase broken = start();
+  broken.controls(0, 0) = 0.7;
+  const auto d = derive({broken, start()}, {{along(1, 0, 0)}, {along(0, 0, 0)}});
+  ASSERT_EQ(d[0][0].size(), 2u);
+  EXPECT_EQ(d[0][0][0].mean.rows(), 0);
+  EXPECT_EQ(d[1][0][1].mean, Positions::Zero(1, 3));
+  EXPECT_TRUE(predictor.batches.empty());
+}
+
+TEST_F(Jvp, ThePredictorsOwnComesFirst) {
+  predictor.has_jvp = true;
+  EXPECT_EQ(derive({start()}, {{along(1, 0, 0)}}).size(), 1u);
+  EXPECT_TRUE(predictor.batches.empty());
+}
+
+TEST_F(Jvp, RefusesWrongSizes) {
+  CaseDirection small;
+  small.controls = Controls::Zero(2, 1);
+  EXPECT_THROW(derive({start()}, {{small}}), ShapeError);
+  EXPECT_THROW(derive({start()}, {}), ShapeError);
+}
+
+}  // namespace
+}  // namespace weft
