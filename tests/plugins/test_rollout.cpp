@@ -204,6 +204,81 @@ TEST(Rollout, PullbackEqualsDerivativeOfPredict) {
   }
 }
 
+TEST(Rollout, JvpEqualsDerivativeOfPredict) {
+  Bound toy(fine(5));
+  const PredictionCase one = toy_case(toy.task);
+  const auto variables = toy.task.trajectory->controls();
+  RandomStream random(3);
+  std::vector<CaseDirection> directions(3);
+  for (auto& d : directions) d.controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+  directions[0].controls(4, 3) = variables[3].scale;  // one control of a late segment
+  for (Index j = 0; j < one.controls.rows(); ++j)
+    for (Index c = 0; c < one.controls.cols(); ++c)
+      for (std::size_t d : {1u, 2u})
+        directions[d].controls(j, c) = variables[static_cast<std::size_t>(c)].scale * random.normal();
+  directions[2].centre << 0.3, -0.2, 0.1, 0.4;
+  directions[2].width << -0.1, 0.2, 0.3, -0.4;
+  const auto slopes = toy.predictor->predict({one}, {.gradients = true})->jvp({directions})[0];
+  ASSERT_EQ(slopes.size(), 3u);
+  for (std::size_t d = 0; d < 3; ++d) {
+    ASSERT_EQ(slopes[d].size(), 3u);
+    const double h = 1e-5;
+    std::vector<PredictionCase> sides(2, one);
+    for (std::size_t side : {0u, 1u}) {
+      const double step = side == 0 ? h : -h;
+      sides[side].controls += step * directions[d].controls;
+      sides[side].knowledge.centre += step * directions[d].centre;
+      sides[side].knowledge.width += step * directions[d].width;
+    }
+    const auto there = toy.predictor->predict(sides, {});
+    for (std::size_t s = 0; s < 3; ++s) {
+      const Positions mean = (there->shapes()[0][s].mean - there->shapes()[1][s].mean) / (2 * h);
+      const Positions sigma = (there->shapes()[0][s].sigma - there->shapes()[1][s].sigma) / (2 * h);
+      EXPECT_LT((slopes[d][s].mean - mean).norm(), 1e-4 * (mean.norm() + 1e-3)) << d << " " << s;
+      EXPECT_LT((slopes[d][s].sigma - sigma).norm(), 1e-3 * (sigma.norm() + 1e-3)) << d << " " << s;
+    }
+    EXPECT_GT(slopes[d].back().mean.norm(), 1e-3);
+  }
+  EXPECT_TRUE(slopes[0][0].mean.isZero(0.0));  // segment 2 comes before the control of segment 5
+}
+
+TEST(Rollout, JvpSimulatesOnlyWhatADirectionChanges) {
+  Params params;  // forward differences, one sample
+  Bound toy(params);
+  const PredictionCase one = toy_case(toy.task);
+  const Index u = one.segments.back();
+  const auto prediction = toy.predictor->predict({one}, {.gradients = true, .knowledge_gradients = false});
+  const auto steps_of = [&](Index segment) {
+    CaseDirection d;
+    d.controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+    d.controls(segment, 2) = 1.0;
+    toy.host.steps = 0;
+    const auto slopes = prediction->jvp({{d}});
+    EXPECT_EQ(slopes[0][0].back().mean.isZero(0.0), segment >= u);
+    return toy.host.steps.load();
+  };
+  EXPECT_EQ(steps_of(0), kFramesPerSegment * u);
+  EXPECT_EQ(steps_of(u - 1), kFramesPerSegment);
+  EXPECT_EQ(steps_of(u), 0);  // after the release
+}
+
+TEST(Rollout, JvpStepsInwardsAtABound) {
+  Params params;
+  Bound toy(params);
+  PredictionCase one = toy_case(toy.task);
+  const auto variables = toy.task.trajectory->controls();
+  one.controls(1, 3) = variables[3].upper;
+  CaseDirection d;
+  d.controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+  d.controls(1, 3) = 2.0 * variables[3].scale;
+  const auto prediction = toy.predictor->predict({one}, {.gradients = true});
+  PredictionCase inside = one;
+  inside.controls(1, 3) -= params.step * variables[3].scale;
+  const Positions there = toy.predictor->predict({inside}, {})->shapes()[0].back().mean;
+  const Positions wanted = (prediction->shapes()[0].back().mean - there) / (0.5 * params.step);
+  EXPECT_LT((prediction->jvp({{d}})[0][0].back().mean - wanted).norm(), 1e-9 * wanted.norm());
+}
+
 TEST(Rollout, SnapshotsChangeNothingButTheCost) {
   Bound with(fine(2), true), without(fine(2), false);
   const PredictionCase one = toy_case(with.task);
@@ -257,6 +332,14 @@ TEST(Rollout, DivergenceCostsOnlyItsCase) {
   const auto gradients = prediction->pullback(cotangents);
   EXPECT_TRUE(gradients[0].controls.isZero(0.0));
   EXPECT_GT(gradients[1].controls.norm(), 0.0);
+  std::vector<CaseDirection> to_the_hole(1);
+  to_the_hole[0].controls = Controls::Zero(good.controls.rows(), good.controls.cols());
+  to_the_hole[0].controls(0, 3) = 1.0;
+  toy.host.diverge_above = 0.0;  // from the next bind() on, no step is possible
+  toy.predictor->bind(toy.task);
+  const auto slopes = prediction->jvp({to_the_hole, to_the_hole});
+  EXPECT_EQ(slopes[0][0].back().mean.rows(), 0);
+  EXPECT_TRUE(slopes[1][0].back().mean.array().isNaN().all());
 }
 
 TEST(Rollout, RefusesWrongInput) {
@@ -273,6 +356,11 @@ TEST(Rollout, RefusesWrongInput) {
   EXPECT_THROW(toy.predictor->predict({bad}, {}), Error);
   const auto prediction = toy.predictor->predict({good}, {});
   EXPECT_THROW(prediction->pullback({std::vector<ShapeCotangent>(3)}), Unsupported);
+  std::vector<CaseDirection> one(1);
+  one[0].controls = Controls::Zero(2, 5);
+  EXPECT_THROW(prediction->jvp({one}), Unsupported);
+  EXPECT_THROW(toy.predictor->predict({good}, {.gradients = true})->jvp({one}), ShapeError);
+  EXPECT_THROW(toy.predictor->predict({good}, {.gradients = true})->jvp({}), ShapeError);
   EXPECT_THROW(RolloutPredictor(fine(1), toy.host).predict({good}, {}), Error);
 }
 

@@ -114,9 +114,8 @@ class RolloutPrediction final : public Prediction {
         if (cotangents[i][k].mean.rows() > 0 || cotangents[i][k].sigma.rows() > 0) last = one.segments[k];
       }
       if (!failures_[i].empty() || last == 0) continue;
-      const Index release = runs_[i * samples_].release;
-      const Index active = release > 0 ? std::min(last, release) : last;
       if (request_.control_gradients) {
+        const Index active = active_segments(i, last);
         for (Index j = 0; j < active; ++j) {
           for (Index c = 0; c < one.controls.cols(); ++c) jobs.push_back({i, j, c});
         }
@@ -145,7 +144,106 @@ class RolloutPrediction final : public Prediction {
     return gradients;
   }
 
+  std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
+      const std::vector<std::vector<CaseDirection>>& directions) const override {
+    if (!request_.gradients) throw Unsupported("rollout: jvp needs a prediction made with gradients");
+    require_shape("rollout: directions", static_cast<Index>(directions.size()), static_cast<Index>(cases_.size()));
+    std::vector<std::vector<std::vector<ShapeCotangent>>> result(cases_.size());
+    std::vector<std::pair<std::size_t, std::size_t>> jobs;
+    for (std::size_t i = 0; i < cases_.size(); ++i) {
+      result[i].resize(directions[i].size());
+      for (std::size_t d = 0; d < directions[i].size(); ++d) {
+        const Controls& controls = directions[i][d].controls;
+        require_shape("rollout: rows of a direction", controls.rows(), cases_[i].controls.rows());
+        require_shape("rollout: columns of a direction", controls.cols(), cases_[i].controls.cols());
+        jobs.emplace_back(i, d);
+      }
+    }
+    owner_.host_.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
+      const auto [i, d] = jobs[static_cast<std::size_t>(j)];
+      result[i][d] = failures_[i].empty() ? directional_derivative(i, directions[i][d])
+                                          : std::vector<ShapeCotangent>(cases_[i].segments.size());
+    });
+    return result;
+  }
+
  private:
+  /// Of the first `last` segments of a case those whose controls move anything: up to its release.
+  Index active_segments(std::size_t i, Index last) const {
+    const Index release = runs_[i * samples_].release;
+    return release > 0 ? std::min(last, release) : last;
+  }
+
+  /// Change of every requested shape along a direction, by differences whose step moves no control by more than `step`
+  /// scales and no knowledge by more than `knowledge_step`.
+  std::vector<ShapeCotangent> directional_derivative(std::size_t i, const CaseDirection& direction) const {
+    const auto& one = cases_[i];
+    const auto variables = owner_.task_.trajectory->controls();
+    const Index active = active_segments(i, one.segments.empty() ? 0 : one.segments.back());
+    const double knowledge = std::max(direction.centre.cwiseAbs().maxCoeff(), direction.width.cwiseAbs().maxCoeff());
+    double largest = knowledge / owner_.params_.knowledge_step;  // in steps
+    Index from = knowledge > 0.0 ? 0 : active;                   // first segment that differs
+    for (Index j = active - 1; j >= 0; --j) {
+      for (Index c = 0; c < one.controls.cols(); ++c) {
+        if (direction.controls(j, c) == 0.0) continue;
+        const double scale = variables[static_cast<std::size_t>(c)].scale;
+        largest = std::max(largest, std::abs(direction.controls(j, c)) / (owner_.params_.step * scale));
+        from = std::min(from, j);
+      }
+    }
+    std::vector<ShapeCotangent> derivatives;
+    if (largest == 0.0) {
+      for (const auto& shape : shapes_[i])
+        derivatives.push_back(
+            {Positions::Zero(shape.mean.rows(), 3), Positions::Zero(shape.sigma.rows(), shape.sigma.cols())});
+      return derivatives;
+    }
+    double step = 1.0 / largest;
+    if (!is_inside(one, direction, step) && is_inside(one, direction, -step)) step = -step;
+    const bool central = owner_.params_.difference == "central" && is_inside(one, direction, -step);
+    try {
+      const auto there = perturbed_along(i, direction, step, from);
+      const auto back = central ? perturbed_along(i, direction, -step, from) : shapes_[i];
+      const double length = central ? 2.0 * step : step;
+      for (std::size_t s = 0; s < there.size(); ++s)
+        derivatives.push_back({(there[s].mean - back[s].mean) / length, (there[s].sigma - back[s].sigma) / length});
+    } catch (const Diverged&) {
+      for (const auto& shape : shapes_[i]) {
+        const double none = std::numeric_limits<double>::quiet_NaN();
+        derivatives.push_back({Positions::Constant(shape.mean.rows(), 3, none),
+                               Positions::Constant(shape.sigma.rows(), shape.sigma.cols(), none)});
+      }
+    }
+    return derivatives;
+  }
+
+  /// Whether knowledge stays within [0, 1] and no control passes a bound, where the direction moves them.
+  bool is_inside(const PredictionCase& one, const CaseDirection& direction, double step) const {
+    const auto in_unit = [&](const PropertyVector& value, const PropertyVector& change) {
+      const PropertyVector moved = value + step * change;
+      for (Index p = 0; p < 4; ++p)
+        if (change(p) != 0.0 && (moved(p) < 0.0 || moved(p) > 1.0)) return false;
+      return true;
+    };
+    const auto variables = owner_.task_.trajectory->controls();
+    for (Index c = 0; c < one.controls.cols(); ++c) {
+      const auto& v = variables[static_cast<std::size_t>(c)];
+      for (Index j = 0; j < one.controls.rows(); ++j) {
+        const double moved = one.controls(j, c) + step * direction.controls(j, c);
+        if (direction.controls(j, c) != 0.0 && (moved < v.lower || moved > v.upper)) return false;
+      }
+    }
+    return in_unit(one.knowledge.centre, direction.centre) && in_unit(one.knowledge.width, direction.width);
+  }
+
+  std::vector<ShapeDistribution> perturbed_along(std::size_t i, const CaseDirection& direction, double step,
+                                                 Index from) const {
+    MaterialKnowledge knowledge = cases_[i].knowledge;
+    knowledge.centre += step * direction.centre;
+    knowledge.width += step * direction.width;
+    return perturbed(i, cases_[i].controls + step * direction.controls, from, knowledge);
+  }
+
   /// Simulates from the start of `from` (0-based segment; its snapshot must be taken) to the last requested segment.
   void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state,
                Index release, std::vector<Positions>& shapes, Run* record) const {
@@ -217,31 +315,38 @@ class RolloutPrediction final : public Prediction {
     return sum;
   }
 
-  /// <cotangents, shapes> with control (segment, control) changed by `change`.
-  double perturbed_control(std::size_t i, Index segment, Index control, double change,
-                           const std::vector<ShapeCotangent>& cotangents) const {
+  /// Shapes of a case under other controls, which equal its own before segment `from`, and under other knowledge.
+  std::vector<ShapeDistribution> perturbed(std::size_t i, const Controls& controls, Index from,
+                                           const MaterialKnowledge& knowledge) const {
     const auto& one = cases_[i];
-    Controls controls = one.controls;
-    controls(segment, control) += change;
+    const bool same_material = knowledge.centre == one.knowledge.centre && knowledge.width == one.knowledge.width;
     std::vector<std::vector<Positions>> shapes(samples_);
     std::vector<const std::vector<Positions>*> sampled;
     const Lease lease(owner_);
     for (std::size_t s = 0; s < samples_; ++s) {
       const Run& run = runs_[i * samples_ + s];
-      const auto from = static_cast<std::size_t>(segment);
-      owner_.start(*lease, one, run.material);
+      const auto material = same_material ? run.material : owner_.material(knowledge, static_cast<Index>(s));
+      owner_.start(*lease, one, material);
       Vector state = one.state;
       Index first = 0;
-      if (!run.snapshots.empty()) {
-        (*lease).restore(*run.snapshots[from]);
-        state = run.states[from];
-        first = segment;
-        shapes[s].assign(run.shapes.begin(), run.shapes.begin() + segment);
+      if (same_material && !run.snapshots.empty()) {
+        (*lease).restore(*run.snapshots[static_cast<std::size_t>(from)]);
+        state = run.states[static_cast<std::size_t>(from)];
+        first = from;
+        shapes[s].assign(run.shapes.begin(), run.shapes.begin() + from);
       }
       advance(*lease, one, controls, first, state, run.release, shapes[s], nullptr);
       sampled.push_back(&shapes[s]);
     }
-    return dot(moments(one, sampled), cotangents);
+    return moments(one, sampled);
+  }
+
+  /// <cotangents, shapes> with control (segment, control) changed by `change`.
+  double perturbed_control(std::size_t i, Index segment, Index control, double change,
+                           const std::vector<ShapeCotangent>& cotangents) const {
+    Controls controls = cases_[i].controls;
+    controls(segment, control) += change;
+    return dot(perturbed(i, controls, segment, cases_[i].knowledge), cotangents);
   }
 
   double control_derivative(std::size_t i, Index segment, Index control,
@@ -263,18 +368,9 @@ class RolloutPrediction final : public Prediction {
 
   double perturbed_knowledge(std::size_t i, Index entry, double change,
                              const std::vector<ShapeCotangent>& cotangents) const {
-    const auto& one = cases_[i];
-    MaterialKnowledge knowledge = one.knowledge;
+    MaterialKnowledge knowledge = cases_[i].knowledge;
     (entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4)) += change;
-    std::vector<std::vector<Positions>> shapes(samples_);
-    std::vector<const std::vector<Positions>*> sampled;
-    const Lease lease(owner_);
-    for (std::size_t s = 0; s < samples_; ++s) {
-      owner_.start(*lease, one, owner_.material(knowledge, static_cast<Index>(s)));
-      advance(*lease, one, one.controls, 0, one.state, runs_[i * samples_].release, shapes[s], nullptr);
-      sampled.push_back(&shapes[s]);
-    }
-    return dot(moments(one, sampled), cotangents);
+    return dot(perturbed(i, cases_[i].controls, 0, knowledge), cotangents);
   }
 
   double knowledge_derivative(std::size_t i, Index entry, const std::vector<ShapeCotangent>& cotangents) const {
@@ -308,7 +404,7 @@ class RolloutPrediction final : public Prediction {
 RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
 
 PredictorCapabilities RolloutPredictor::capabilities() const {
-  return {.gradients = true, .deterministic = true, .needs_binding = true};
+  return {.gradients = true, .jvp = true, .deterministic = true, .needs_binding = true};
 }
 
 void RolloutPredictor::bind(const Task& task) {
