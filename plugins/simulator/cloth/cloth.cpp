@@ -394,36 +394,38 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
   SelfContact::State& contact = state_.contact;
   contact.elapsed += dt;
   const __m256d elapsed = _mm256_set1_pd(contact.elapsed);
+  const float* inverse_mass = state_.inverse_mass.data();
+  Double4 *xs = state_.x.data(), *vs = state_.v.data();
+  const Double4 *drift = contact.drift.data(), *from = contact.start.data();
+  Float4* v_float = state_.v_float.data();
+  Fixed4* x_fixed = state_.x_fixed.data();
+  float *moved = state_.moved.data(), *path = contact.path.data();
   for (std::int32_t i = 0; i < n; ++i) {
-    Double4 &x = state_.x[i], &v = state_.v[i];
-    if (state_.inverse_mass[i] != 0.0f) {
-      if (x.z + dt * v.z < floor_) {
-        const double allowed = x.z > floor_ ? (floor_ - x.z) / dt : 0.0;  // <= 0
-        const double stopped = std::max(0.0, allowed - v.z);
-        const double sliding = std::sqrt(v.x * v.x + v.y * v.y);
-        const double left = sliding <= mu * stopped ? 0.0 : 1.0 - mu * stopped / sliding;
-        v.x *= left;
-        v.y *= left;
-        v.z = std::max(v.z, allowed);
-        const double low = x.z;
-        store(x, _mm256_fmadd_pd(load(v), step, load(x)));
-        x.z = low > floor_ ? floor_ : std::min(std::max(low + kRise * dt, x.z), floor_);
-      } else {
-        store(x, _mm256_fmadd_pd(load(v), step, load(x)));
-      }
-    } else if (v.x != 0.0 || v.y != 0.0 || v.z != 0.0) {
-      store(x, _mm256_fmadd_pd(load(v), step, load(x)));  // held: made exact below
+    __m256d x = load(xs[i]), v = load(vs[i]);
+    const double low = xs[i].z, sink = vs[i].z;
+    __m256d next = _mm256_fmadd_pd(v, step, x);
+    if (low + dt * sink < floor_ && inverse_mass[i] != 0.0f) {
+      const double vx = vs[i].x, vy = vs[i].y;
+      const double allowed = low > floor_ ? (floor_ - low) / dt : 0.0;  // <= 0
+      const double stopped = std::max(0.0, allowed - sink);
+      const double sliding = std::sqrt(vx * vx + vy * vy);
+      const double left = sliding <= mu * stopped ? 0.0 : 1.0 - mu * stopped / sliding;
+      v = _mm256_setr_pd(vx * left, vy * left, std::max(sink, allowed), 0.0);
+      store(vs[i], v);
+      const double z = low > floor_ ? floor_ : std::min(low + std::max(kRise, sink) * dt, floor_);
+      next = _mm256_blend_pd(_mm256_fmadd_pd(v, step, x), _mm256_set1_pd(z), 4);
     }
-    const __m128 vf = _mm256_cvtpd_ps(load(v));
-    _mm_store_ps(&state_.v_float[i].x, vf);
-    state_.x_fixed[i] = to_fixed(load(x), per_unit);
-    float& path = contact.path[i];
-    const float moved = dt_float * _mm_cvtss_f32(_mm_sqrt_ss(_mm_dp_ps(vf, vf, 0x71)));
-    state_.moved[i] = moved;
-    path += moved;
-    excess = std::max(excess, path - bound[i]);
-    const __m256d straight = _mm256_fmadd_pd(load(contact.drift[i]), elapsed, load(contact.start[i]));
-    const __m128 off = _mm256_cvtpd_ps(_mm256_sub_pd(load(x), straight));
+    x = next;
+    store(xs[i], x);  // what is held is made exact below
+    const __m128 vf = _mm256_cvtpd_ps(v);
+    _mm_store_ps(&v_float[i].x, vf);
+    x_fixed[i] = to_fixed(x, per_unit);
+    const float way = dt_float * _mm_cvtss_f32(_mm_sqrt_ss(_mm_dp_ps(vf, vf, 0x71)));
+    moved[i] = way;
+    path[i] += way;
+    excess = std::max(excess, path[i] - bound[i]);
+    const __m256d straight = _mm256_fmadd_pd(load(drift[i]), elapsed, load(from[i]));
+    const __m128 off = _mm256_cvtpd_ps(_mm256_sub_pd(x, straight));
     strayed = std::max(strayed, _mm_cvtss_f32(_mm_dp_ps(off, off, 0x71)));
   }
   for (std::size_t k = 0; k < state_.held.size(); ++k) {

@@ -198,14 +198,18 @@ void SelfContact::make_patches() {
                    [&](std::int32_t f, std::int32_t g) { return component(f) < component(g); });
 
   std::vector<std::uint8_t> vertex_taken(topology_->vertices, 0), edge_taken(topology_->edges.size(), 0);
-  const auto emit = [](std::vector<BoxBlock>& blocks, const std::vector<std::int32_t>& ids, std::int32_t(&range)[2]) {
+  const auto emit = [](std::vector<BoxBlock>& blocks, const std::vector<std::int32_t>& ids, std::int32_t(&range)[2],
+                       auto&& corner) {
     range[0] = static_cast<std::int32_t>(blocks.size());
     for (std::size_t k = 0; k < ids.size(); ++k) {
       if (k % 8 == 0) {
         blocks.emplace_back();
         std::fill(std::begin(blocks.back().id), std::end(blocks.back().id), -1);
+        for (int c = 0; c < 3; ++c)
+          for (int lane = 0; lane < 8; ++lane) blocks.back().corner[c][lane] = corner(ids[k], c);
       }
       blocks.back().id[k % 8] = ids[k];
+      for (int c = 0; c < 3; ++c) blocks.back().corner[c][k % 8] = corner(ids[k], c);
     }
     range[1] = static_cast<std::int32_t>(blocks.size());
   };
@@ -228,9 +232,9 @@ void SelfContact::make_patches() {
         }
       }
       Patch patch;
-      emit(scratch_.faces, faces, patch.faces);
-      emit(scratch_.vertices, vertices, patch.vertices);
-      emit(scratch_.edges, edges, patch.edges);
+      emit(scratch_.faces, faces, patch.faces, [&](std::int32_t f, int c) { return topology_->faces[f][c]; });
+      emit(scratch_.vertices, vertices, patch.vertices, [](std::int32_t v, int) { return v; });
+      emit(scratch_.edges, edges, patch.edges, [&](std::int32_t e, int c) { return topology_->edges[e][c % 2]; });
       nodes[node].patch = static_cast<std::int32_t>(patches_.size());
       patches_.push_back(patch);
       return node;
@@ -271,6 +275,7 @@ void SelfContact::make_patches() {
   };
   chain(chain, 0);
   scratch_.sums.resize(nodes.size());
+  scratch_.boxed.resize(patches_.size());
 }
 
 /// One connected piece whose area fills its convex hull to 85 %, without cuts: every border edge lies at the hull.
@@ -546,31 +551,36 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
 
   // Boxes around now and later, grown by slack and half the thickness: pairs whose boxes meet can come within
   // thickness.
-  const __m128 grown = _mm_set1_ps(slack_ + 0.5f * thickness_);
-  const auto fill = [&](std::vector<BoxBlock>& blocks, auto&& corners) {
-    for (BoxBlock& block : blocks) {
-      for (int lane = 0; lane < 8; ++lane) {
-        __m128 lower = _mm_set1_ps(1e30f), upper = _mm_set1_ps(-1e30f);
-        if (block.id[lane] >= 0) {
-          corners(block.id[lane], [&](std::int32_t i) {
-            const __m128 p = _mm_load_ps(&position[i].x), q = _mm_load_ps(&later[i].x);
-            lower = _mm_min_ps(lower, _mm_min_ps(p, q)), upper = _mm_max_ps(upper, _mm_max_ps(p, q));
-          });
-          lower = _mm_sub_ps(lower, grown), upper = _mm_add_ps(upper, grown);
-        }
-        alignas(16) float a[4], b[4];
-        _mm_store_ps(a, lower), _mm_store_ps(b, upper);
-        for (int k = 0; k < 3; ++k) block.low[k][lane] = a[k], block.high[k][lane] = b[k];
-      }
+  const F8 grown = splat(slack_ + 0.5f * thickness_);
+  const auto fill = [&](BoxBlock& block, auto corners) {
+    Vec8 low8 = load8(position.data(), block.corner[0]), high8 = low8;
+    const auto add = [&](const Vec8& p) {
+      low8 = {min8(low8.x, p.x), min8(low8.y, p.y), min8(low8.z, p.z)};
+      high8 = {max8(high8.x, p.x), max8(high8.y, p.y), max8(high8.z, p.z)};
+    };
+    add(load8(later.data(), block.corner[0]));
+    for (int k = 1; k < decltype(corners)::value; ++k) {
+      add(load8(position.data(), block.corner[k]));
+      add(load8(later.data(), block.corner[k]));
     }
+    const F8 empty = _mm256_castsi256_ps(_mm256_load_si256(reinterpret_cast<const I8*>(block.id)));  // sign bit
+    const F8 inverted = splat(1e30f), deflated = splat(-1e30f);
+    const auto write = [&](float(&to)[8], F8 value, F8 none) {
+      _mm256_store_ps(to, _mm256_blendv_ps(value, none, empty));
+    };
+    write(block.low[0], low8.x - grown, inverted), write(block.high[0], high8.x + grown, deflated);
+    write(block.low[1], low8.y - grown, inverted), write(block.high[1], high8.y + grown, deflated);
+    write(block.low[2], low8.z - grown, inverted), write(block.high[2], high8.z + grown, deflated);
   };
-  fill(scratch_.vertices, [](std::int32_t i, auto&& add) { add(i); });
-  fill(scratch_.edges, [&](std::int32_t e, auto&& add) {
-    for (const std::int32_t i : topology_->edges[e]) add(i);
-  });
-  fill(scratch_.faces, [&](std::int32_t f, auto&& add) {
-    for (const std::int32_t i : topology_->faces[f]) add(i);
-  });
+  std::fill(scratch_.boxed.begin(), scratch_.boxed.end(), std::uint8_t{0});
+  const auto box_patch = [&](std::int32_t index) {  // vertices and edges, when they are first asked for
+    if (scratch_.boxed[index]) return;
+    scratch_.boxed[index] = 1;
+    for (std::int32_t b = patches_[index].vertices[0]; b < patches_[index].vertices[1]; ++b)
+      fill(scratch_.vertices[b], std::integral_constant<int, 1>{});
+    for (std::int32_t b = patches_[index].edges[0]; b < patches_[index].edges[1]; ++b)
+      fill(scratch_.edges[b], std::integral_constant<int, 2>{});
+  };
   struct Box {
     F8 low[3], high[3];  // one box in all lanes
   };
@@ -595,41 +605,38 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     Node& node = nodes[index];
     Float4& sum = scratch_.sums[index];
     if (node.patch >= 0) {
-      sum = {};
-      for (int k = 0; k < 3; ++k) node.low[k] = 1e30f, node.high[k] = -1e30f;
-      float normals[8][3], turning = 0.0f;
-      int count = 0;
-      for (std::int32_t b = patches_[node.patch].faces[0]; b < patches_[node.patch].faces[1]; ++b)
-        for (int lane = 0; lane < 8; ++lane) {
-          const BoxBlock& block = scratch_.faces[b];
-          if (block.id[lane] < 0) continue;
-          for (int k = 0; k < 3; ++k) {
-            node.low[k] = std::min(node.low[k], block.low[k][lane]);
-            node.high[k] = std::max(node.high[k], block.high[k][lane]);
-          }
-          const auto& face = topology_->faces[block.id[lane]];
-          const Float4 &p = position[face[0]], &q = position[face[1]], &r = position[face[2]];
-          const float a[3] = {q.x - p.x, q.y - p.y, q.z - p.z}, c[3] = {r.x - p.x, r.y - p.y, r.z - p.z};
-          float* m = normals[count++];
-          m[0] = a[1] * c[2] - a[2] * c[1], m[1] = a[2] * c[0] - a[0] * c[2], m[2] = a[0] * c[1] - a[1] * c[0];
-          const float twice_area = std::max(1e-20f, std::sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]));
-          for (int k = 0; k < 3; ++k) m[k] /= twice_area;
-          const auto square = [](const Float4& s, const Float4& t) {
-            return (s.x - t.x) * (s.x - t.x) + (s.y - t.y) * (s.y - t.y) + (s.z - t.z) * (s.z - t.z);
-          };
-          const float longest = std::sqrt(std::max(square(p, q), std::max(square(q, r), square(r, p))));
-          const float parted = std::sqrt(
-              std::max(parting(face[0], face[1]), std::max(parting(face[1], face[2]), parting(face[2], face[0]))));
-          turning = std::max(turning, (parted * horizon + 2.0f * slack_) * longest / twice_area);
-          sum.x += m[0], sum.y += m[1], sum.z += m[2];
-        }
+      BoxBlock& block = scratch_.faces[patches_[node.patch].faces[0]];  // at most eight faces: one block
+      fill(block, std::integral_constant<int, 3>{});
+      for (int k = 0; k < 3; ++k) {
+        node.low[k] = *std::min_element(block.low[k], block.low[k] + 8);
+        node.high[k] = *std::max_element(block.high[k], block.high[k] + 8);
+      }
+      // Empty lanes repeat the first face: that changes the axis a little, and no bound.
+      const Vec8 a = load8(position.data(), block.corner[1]) - load8(position.data(), block.corner[0]);
+      const Vec8 c = load8(position.data(), block.corner[2]) - load8(position.data(), block.corner[0]);
+      const Vec8 u = load8(drift.data(), block.corner[1]) - load8(drift.data(), block.corner[0]);
+      const Vec8 w = load8(drift.data(), block.corner[2]) - load8(drift.data(), block.corner[0]);
+      Vec8 m = cross(a, c);
+      const F8 twice_area = max8(_mm256_sqrt_ps(dot(m, m)), splat(1e-20f));
+      m = (splat(1.0f) / twice_area) * m;
+      const Vec8 ac = c - a, uw = w - u;
+      const F8 longest = _mm256_sqrt_ps(max8(dot(a, a), max8(dot(c, c), dot(ac, ac))));
+      const F8 parted = _mm256_sqrt_ps(max8(dot(u, u), max8(dot(w, w), dot(uw, uw))));
+      const F8 turning = fma(parted, splat(horizon), splat(2.0f * slack_)) * longest / twice_area;
+      const auto total = [](F8 lanes) {
+        alignas(32) float t[8];
+        _mm256_store_ps(t, lanes);
+        return ((t[0] + t[1]) + (t[2] + t[3])) + ((t[4] + t[5]) + (t[6] + t[7]));
+      };
+      sum = {total(m.x), total(m.y), total(m.z), 0.0f};
       const float scale = 1.0f / std::max(1e-20f, std::sqrt(sum.x * sum.x + sum.y * sum.y + sum.z * sum.z));
       node.axis[0] = sum.x * scale, node.axis[1] = sum.y * scale, node.axis[2] = sum.z * scale;
-      float least = 1.0f;
-      for (int k = 0; k < count; ++k)
-        least =
-            std::min(least, normals[k][0] * node.axis[0] + normals[k][1] * node.axis[1] + normals[k][2] * node.axis[2]);
-      node.angle = std::acos(std::max(least, -1.0f)) + turning;
+      const F8 cosine = dot(m, {splat(node.axis[0]), splat(node.axis[1]), splat(node.axis[2])});
+      alignas(32) float cosines[8], turnings[8];
+      _mm256_store_ps(cosines, cosine);
+      _mm256_store_ps(turnings, turning);
+      node.angle = std::acos(std::clamp(*std::min_element(cosines, cosines + 8), -1.0f, 1.0f)) +
+                   *std::max_element(turnings, turnings + 8);
     } else {
       const Node &l = nodes[node.left], &r = nodes[node.right];
       const Float4 &sl = scratch_.sums[node.left], &sr = scratch_.sums[node.right];
@@ -704,6 +711,8 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
   };
   const auto leaves = [&](const Node& first, const Node& second, bool same) {
     const Patch &p = patches_[first.patch], &q = patches_[second.patch];
+    box_patch(first.patch);
+    box_patch(second.patch);
     const Box p_box = node_box(first), q_box = node_box(second);
     vertices_against_faces(p, q, q_box);
     if (!same) vertices_against_faces(q, p, p_box);

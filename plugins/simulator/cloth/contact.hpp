@@ -85,7 +85,8 @@ class SelfContact {
   /// Boxes of eight primitives, lane by lane; empty lanes are inverted.
   struct alignas(32) BoxBlock {
     float low[3][8], high[3][8];
-    std::int32_t id[8];
+    std::int32_t corner[3][8];  ///< vertices of the primitive; those that it has not, and empty lanes, repeat others
+    std::int32_t id[8];         ///< vertex, edge or face; -1: empty lane
   };
   /// A patch of at most eight neighbouring faces, with the vertices and edges that it owns (each belongs to one patch).
   struct Patch {
@@ -106,7 +107,8 @@ class SelfContact {
   struct Scratch {
     std::vector<BoxBlock> faces, vertices, edges;
     std::vector<Node> nodes;
-    std::vector<Float4> sums;  ///< [nodes] area-weighted normals
+    std::vector<Float4> sums;         ///< [nodes] sums of unit normals
+    std::vector<std::uint8_t> boxed;  ///< [patches] vertex and edge boxes are those of this search
     std::vector<Candidate> old, pending_faces, pending_edges;
     std::vector<std::int32_t> table;
     std::vector<Float4> position, later;  ///< relative to the lowest corner: now and at the horizon

@@ -213,7 +213,11 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
     const Vec8 fu = fma(g1, d[1], g0 * d[0]), fv = fma(g3, d[1], g2 * d[0]);
     const F8 uu = dot(fu, fu), vv = dot(fv, fv);
     F8 e11 = half * (uu - one), e22 = half * (vv - one), shear = dot(fu, fv);
-    largest = max8(largest, max8(uu, vv));
+    {
+      // Larger eigenvalue of F^T F.
+      const F8 mean = half * (uu + vv), apart = half * (uu - vv);
+      largest = max8(largest, mean + _mm256_sqrt_ps(fma(apart, apart, shear * shear)));
+    }
     Vec8 rate[5];
     if constexpr (kDamped) {
       const Vec8 v0 = load8(v, block.node[0]);

@@ -52,7 +52,7 @@ class Elements {
   /// m per fixed-point unit; a power of four, so that scaling by it or its root is exact.
   double unit() const { return unit_; }
   /// forces += internal forces, N. velocities are read only when the fabric is damped.
-  /// @return the largest (1 + stretch stiffening) over all elements: max |x_u|^2, |x_v|^2.
+  /// @return the largest squared principal stretch of any element, at least 1.
   float add_forces(const Fixed4* x, const Float4* v, Float4* forces) const;
   /// Tables only: moduli from the present strain and curvature (secant, lagged to this call).
   void update_moduli(const Double4* x);
