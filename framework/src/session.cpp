@@ -72,7 +72,7 @@ SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator,
 void SimulatorEnvironment::record() { frames_.push_back(to_frame(simulator_->positions())); }
 
 Observation SimulatorEnvironment::observe() {
-  return {simulator_->positions(), {}, static_cast<double>(simulator_->frame()) * kFrameSeconds};
+  return {.positions = simulator_->positions(), .time_s = static_cast<double>(simulator_->frame()) * kFrameSeconds};
 }
 
 void SimulatorEnvironment::execute(const SegmentPath& path) {

@@ -3,18 +3,12 @@
 #include <functional>
 #include <string>
 
+#include "weft/observation.hpp"
 #include "weft/planner.hpp"
 #include "weft/random_controls.hpp"
 #include "weft/task.hpp"
 
 namespace weft {
-
-/// What is seen of the cloth at the end of a segment.
-struct Observation {
-  Positions positions;         ///< [V, 3] m
-  std::vector<bool> observed;  ///< [V]; empty: all. Unobserved rows are filled from the last prediction
-  double time_s = 0.0;
-};
 
 /// Where a plan is carried out: a simulator, or a robot.
 class Environment {
