@@ -92,7 +92,8 @@ struct Hdf5File::Impl {
       fail(path, "cannot be read; the file is damaged");
     return values;
   }
-  void write(const std::string& path, const std::vector<Index>& dims, hid_t type, std::size_t size, const void* data) {
+  void write(const std::string& path, const std::vector<Index>& dims, hid_t type, std::size_t size, const void* data,
+             hid_t stored = -1) {
     const Lock lock(library_mutex());
     std::vector<hsize_t> extent(dims.begin(), dims.end());
     hsize_t count = 1;
@@ -110,7 +111,8 @@ struct Hdf5File::Impl {
       H5Pset_shuffle(options);
       H5Pset_deflate(options, 4);
     }
-    const Handle set(H5Dcreate2(id, path.c_str(), type, space, links, options, H5P_DEFAULT), H5Dclose);
+    const Handle set(H5Dcreate2(id, path.c_str(), stored < 0 ? type : stored, space, links, options, H5P_DEFAULT),
+                     H5Dclose);
     if (!set.good() || (count > 0 && H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0)) {
       throw Error(file.string() + ": " + path + " cannot be written (disk full, or written twice)");
     }
@@ -154,6 +156,16 @@ void Hdf5File::write(const std::string& path, const std::vector<Index>& shape, c
 }
 void Hdf5File::write(const std::string& path, const std::vector<Index>& shape, const std::int64_t* data) {
   impl_->write(path, shape, H5T_NATIVE_INT64, sizeof(std::int64_t), data);
+}
+
+void Hdf5File::write_half(const std::string& path, const std::vector<Index>& shape, const float* data) {
+  const Lock lock(library_mutex());
+  // IEEE 754 binary16: sign 1, exponent 5, mantissa 10 bits; h5py reads it as float16.
+  const Handle half(H5Tcopy(H5T_IEEE_F32LE), H5Tclose);
+  H5Tset_fields(half, 15, 10, 5, 0, 10);
+  H5Tset_size(half, 2);
+  H5Tset_ebias(half, 15);
+  impl_->write(path, shape, H5T_NATIVE_FLOAT, sizeof(float), data, half);
 }
 
 void Hdf5File::write(const std::string& path, const std::string& text) {

@@ -27,6 +27,8 @@ class WEFT_API Hdf5File {
   void write(const std::string& path, const std::vector<Index>& shape, const float* data);
   void write(const std::string& path, const std::vector<Index>& shape, const std::int64_t* data);
   void write(const std::string& path, const std::string& text);
+  /// Stored as 16-bit floats: exact for values that have 11 significant bits.
+  void write_half(const std::string& path, const std::vector<Index>& shape, const float* data);
   template <class Derived>
   void write(const std::string& path, const Eigen::PlainObjectBase<Derived>& array) {
     using RowMajor = Eigen::Matrix<typename Derived::Scalar, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;

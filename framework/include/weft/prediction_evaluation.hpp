@@ -1,0 +1,38 @@
+#pragma once
+#include <map>
+#include <string>
+#include <vector>
+
+#include "weft/experiment.hpp"
+
+namespace weft {
+
+/// Errors and calibration of predictions over some cases.
+struct PredictionFigures {
+  double steps = 0.0;                     ///< segments predicted ahead; their mean where cases differ
+  Index n = 0;                            ///< cases
+  double mean_mm = 0.0, median_mm = 0.0;  ///< over cases, of the mean vertex distance
+  double nll = 0.0;                       ///< mean over coordinates of -log density, lengths in mm
+  double coverage_1sigma = 0.0;           ///< share of the coordinates within one sigma (normal: 0.683)
+  double nse = 0.0;                       ///< mean of (error / sigma)^2 (calibrated: 1)
+  double sigma_mm = 0.0;                  ///< mean sigma
+};
+
+struct PredictionEvaluation {
+  PredictionFigures from_start, from_random, no_knowledge;  ///< the settled shape
+  std::vector<PredictionFigures> by_step, by_step_from_random, by_step_no_knowledge;
+  std::map<std::string, PredictionFigures> baselines;  ///< settled shape; only n, mean_mm and median_mm
+  Index failed = 0;                                    ///< cases that the predictor could not predict
+  double seconds = 0.0;                                ///< inside predict()
+};
+
+/// Measures a bound predictor on a split of a dataset: the paper's accuracy claims for its network, and more.
+/// @throws ConfigError when the split is empty.
+WEFT_API PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
+                                                  const PredictionEvaluationParams& params, std::uint64_t seed,
+                                                  Host& host);
+/// prediction.json (design section 5; docs/file-formats.md).
+WEFT_API std::string prediction_evaluation_json(const PredictionEvaluation& result);
+WEFT_API std::string prediction_evaluation_csv(const PredictionEvaluation& result);
+
+}  // namespace weft

@@ -1,0 +1,294 @@
+#include "weft/prediction_evaluation.hpp"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <numbers>
+
+namespace weft {
+namespace {
+
+using nlohmann::ordered_json;
+
+/// Collects cases of one row of the table.
+struct Tally {
+  std::vector<double> errors;
+  double steps = 0.0, nll = 0.0, inside = 0.0, square = 0.0, sigma = 0.0;
+  double coordinates = 0.0;
+
+  void add(const Positions& truth, Index ahead) {
+    steps += static_cast<double>(ahead);
+    coordinates += static_cast<double>(truth.size());
+  }
+  void add(const ShapeDistribution& predicted, const Positions& truth, Index ahead) {
+    add(truth, ahead);
+    errors.push_back(mean_distance_mm(predicted.mean, truth));
+    for (Index i = 0; i < truth.size(); ++i) {
+      const double s = predicted.sigma.data()[i] * 1e3;
+      const double r = (predicted.mean.data()[i] - truth.data()[i]) * 1e3 / s;
+      nll += 0.5 * r * r + std::log(s) + 0.5 * std::log(2.0 * std::numbers::pi);
+      inside += std::abs(r) <= 1.0;
+      square += r * r;
+      sigma += s;
+    }
+  }
+  void add(const Positions& predicted, const Positions& truth, Index ahead) {
+    add(truth, ahead);
+    errors.push_back(mean_distance_mm(predicted, truth));
+  }
+  PredictionFigures figures() const {
+    PredictionFigures f;
+    f.n = static_cast<Index>(errors.size());
+    if (f.n == 0) return f;
+    const auto n = static_cast<double>(f.n);
+    std::vector<double> sorted = errors;
+    std::sort(sorted.begin(), sorted.end());
+    for (const double e : sorted) f.mean_mm += e / n;
+    const std::size_t middle = sorted.size() / 2;
+    f.median_mm = sorted.size() % 2 == 1 ? sorted[middle] : 0.5 * (sorted[middle - 1] + sorted[middle]);
+    f.steps = steps / n;
+    f.nll = nll / coordinates;
+    f.coverage_1sigma = inside / coordinates;
+    f.nse = square / coordinates;
+    f.sigma_mm = sigma / coordinates;
+    return f;
+  }
+};
+
+/// What a lookup or a linear model may know before the fold: the material, and the path of the hands by progress.
+Vector describe_example(const Example& e, const Trajectory& trajectory) {
+  constexpr Index kPoints = 6;
+  const Index s = e.states.cols();
+  Vector features(4 + kPoints * s + 1);
+  features.head<4>() = e.q;
+  std::vector<double> progress;
+  for (Index j = 0; j <= e.segments(); ++j) progress.push_back(trajectory.progress(e.states.row(j).transpose()));
+  Index at = 0;
+  for (Index p = 0; p < kPoints; ++p) {
+    const double wanted = progress.back() * static_cast<double>(p + 1) / static_cast<double>(kPoints);
+    while (at + 1 < e.segments() && progress[static_cast<std::size_t>(at + 1)] < wanted) ++at;
+    const double a = progress[static_cast<std::size_t>(at)], b = progress[static_cast<std::size_t>(at + 1)];
+    const double t = b > a ? std::clamp((wanted - a) / (b - a), 0.0, 1.0) : 1.0;
+    features.segment(4 + p * s, s) = ((1.0 - t) * e.states.row(at) + t * e.states.row(at + 1)).transpose();
+  }
+  features(features.size() - 1) = static_cast<double>(e.segments());
+  return features;
+}
+
+std::map<std::string, PredictionFigures> measure_baselines(const Dataset& dataset, const std::vector<std::size_t>& test,
+                                                           const Trajectory& trajectory, Index components) {
+  std::vector<std::size_t> train;
+  for (const auto i : dataset.select(Split::train)) {
+    if (dataset.examples[i].released) train.push_back(i);
+  }
+  std::map<std::string, Tally> tallies;
+  const auto settled = [&](std::size_t i) { return dataset.shape(i, dataset.examples[i].segments()); };
+  for (const auto i : test) {
+    const auto& e = dataset.examples[i];
+    tallies["persistence"].add(dataset.shape(i, e.segments() - 1), settled(i), 1);
+    tallies["start_shape"].add(dataset.shape(i, 0), settled(i), e.segments());
+  }
+  std::map<std::string, PredictionFigures> figures;
+  if (train.size() >= 2) {
+    const Index n = dataset.header.vertices * 3;
+    const auto m = static_cast<Index>(train.size());
+    Eigen::MatrixXf shapes(n, m);
+    std::vector<Vector> features;
+    for (Index k = 0; k < m; ++k) {
+      const Positions shape = settled(train[static_cast<std::size_t>(k)]);
+      shapes.col(k) = Eigen::Map<const Vector>(shape.data(), n).cast<float>();
+      features.push_back(describe_example(dataset.examples[train[static_cast<std::size_t>(k)]], trajectory));
+    }
+    const Index f = features.front().size();
+    Vector mean = Vector::Zero(f), sd = Vector::Zero(f);
+    for (const auto& x : features) mean += x / static_cast<double>(m);
+    for (const auto& x : features) sd += (x - mean).cwiseAbs2() / static_cast<double>(m);
+    sd = sd.cwiseSqrt().cwiseMax(1e-9);
+    // Linear model: ridge regression from the features to the principal components of the settled shapes.
+    const Eigen::VectorXf centre = shapes.rowwise().mean();
+    const Index some = std::min<Index>(m, 1000);
+    Eigen::MatrixXf sample(n, some);
+    for (Index k = 0; k < some; ++k) sample.col(k) = shapes.col(k * m / some) - centre;
+    const Eigen::SelfAdjointEigenSolver<Matrix> gram((sample.transpose() * sample).cast<double>());
+    const Index rank = std::min(components, some - 1);
+    Eigen::MatrixXf basis(n, rank);
+    for (Index c = 0; c < rank; ++c) {
+      basis.col(c) = sample * gram.eigenvectors().col(some - 1 - c).cast<float>();
+      basis.col(c).normalize();
+    }
+    const Matrix codes = (basis.transpose() * (shapes.colwise() - centre)).cast<double>();
+    Matrix design(m, f + 1);
+    for (Index k = 0; k < m; ++k) {
+      design.row(k).head(f) = (features[static_cast<std::size_t>(k)] - mean).cwiseQuotient(sd).transpose();
+      design(k, f) = 1.0;
+    }
+    Matrix normal = design.transpose() * design;
+    normal.diagonal().array() += 1e-3 * static_cast<double>(m);
+    const Matrix weights = normal.ldlt().solve(design.transpose() * codes.transpose());
+    const auto positions = [&](const Eigen::VectorXf& flat) {
+      const Vector wide = flat.cast<double>();
+      return Positions(Eigen::Map<const Positions>(wide.data(), n / 3, 3));
+    };
+    for (const auto i : test) {
+      const auto& e = dataset.examples[i];
+      const Positions truth = settled(i);
+      const Index k = e.segments();
+      tallies["mean_shape"].add(positions(centre), truth, k);
+      Vector x(f + 1);
+      x.head(f) = (describe_example(e, trajectory) - mean).cwiseQuotient(sd);
+      x(f) = 1.0;
+      tallies["linear_pca"].add(positions(centre + basis * (weights.transpose() * x).cast<float>()), truth, k);
+      Index nearest_inputs = 0, nearest_shape = 0;
+      (design.rowwise() - x.transpose()).rowwise().squaredNorm().minCoeff(&nearest_inputs);
+      const Eigen::VectorXf flat = Eigen::Map<const Vector>(truth.data(), n).cast<float>();
+      (shapes.colwise() - flat).colwise().squaredNorm().minCoeff(&nearest_shape);
+      tallies["nearest_example"].add(positions(shapes.col(nearest_inputs)), truth, k);
+      tallies["nearest_example_oracle"].add(positions(shapes.col(nearest_shape)), truth, k);
+    }
+  }
+  for (const auto& [name, tally] : tallies) figures[name] = tally.figures();
+  return figures;
+}
+
+}  // namespace
+
+PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
+                                         const PredictionEvaluationParams& params, std::uint64_t seed, Host& host) {
+  Split split = Split::test;
+  for (std::size_t s = 0; s < kSplitNames.size(); ++s) {
+    if (params.split == kSplitNames[s]) split = static_cast<Split>(s);
+  }
+  std::vector<std::size_t> chosen = dataset.select(split);
+  if (params.max_examples > 0 && static_cast<std::size_t>(params.max_examples) < chosen.size())
+    chosen.resize(static_cast<std::size_t>(params.max_examples));
+  if (chosen.empty())
+    throw ConfigError("the dataset has no example in its " + params.split + " split; make more examples");
+
+  PredictionEvaluation result;
+  // The three ways to ask, over all of their steps at once.
+  struct Way {
+    bool from_random, has_knowledge;
+    PredictionFigures* settled;
+    std::vector<PredictionFigures>* by_step;
+  };
+  const Way ways[] = {{false, true, &result.from_start, &result.by_step},
+                      {true, true, &result.from_random, &result.by_step_from_random},
+                      {false, false, &result.no_knowledge, &result.by_step_no_knowledge}};
+  for (const auto& way : ways) {
+    Tally settled;
+    std::vector<Tally> by_step;
+    for (std::size_t first = 0; first < chosen.size() && !host.cancelled();
+         first += static_cast<std::size_t>(params.batch)) {
+      const std::size_t count = std::min(static_cast<std::size_t>(params.batch), chosen.size() - first);
+      std::vector<PredictionCase> cases;
+      std::vector<Index> starts;
+      for (std::size_t b = 0; b < count; ++b) {
+        const std::size_t i = chosen[first + b];
+        const auto& e = dataset.examples[i];
+        RandomStream random(seed, 0x7374617274ull, static_cast<std::uint64_t>(e.index));
+        const Index start =
+            way.from_random ? static_cast<Index>(random.below(static_cast<std::uint64_t>(e.segments()))) : 0;
+        starts.push_back(start);
+        PredictionCase one;
+        one.shape = std::make_shared<const Positions>(dataset.shape(i, start));
+        if (start > 0) one.previous = std::make_shared<const Positions>(dataset.shape(i, start - 1));
+        one.state = e.states.row(start).transpose();
+        one.controls = e.controls.bottomRows(e.segments() - start);
+        one.knowledge = way.has_knowledge ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
+        for (Index j = 1; j <= one.controls.rows(); ++j) one.segments.push_back(j);
+        cases.push_back(std::move(one));
+      }
+      const auto started = std::chrono::steady_clock::now();
+      const auto prediction = predictor.predict(cases, {.moments = Moments::mean_and_sigma});
+      result.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+      for (std::size_t b = 0; b < count; ++b) {
+        if (!prediction->failure(b).empty()) {
+          ++result.failed;
+          continue;
+        }
+        const std::size_t i = chosen[first + b];
+        const auto steps = static_cast<std::size_t>(cases[b].controls.rows());
+        if (by_step.size() < steps) by_step.resize(steps);
+        for (std::size_t j = 0; j < steps; ++j) {
+          const Positions truth = dataset.shape(i, starts[b] + static_cast<Index>(j) + 1);
+          by_step[j].add(prediction->shapes()[b][j], truth, static_cast<Index>(j) + 1);
+          if (j + 1 == steps && dataset.examples[i].released)
+            settled.add(prediction->shapes()[b][j], truth, static_cast<Index>(steps));
+        }
+      }
+    }
+    *way.settled = settled.figures();
+    for (const auto& tally : by_step) way.by_step->push_back(tally.figures());
+  }
+  if (params.baselines) {
+    std::vector<std::size_t> released;
+    for (const auto i : chosen) {
+      if (dataset.examples[i].released) released.push_back(i);
+    }
+    result.baselines = measure_baselines(dataset, released, *task.trajectory, params.linear_components);
+  }
+  return result;
+}
+
+namespace {
+
+ordered_json to_json(const PredictionFigures& f) {
+  return {{"steps", f.steps},
+          {"n", f.n},
+          {"mean_mm", f.mean_mm},
+          {"median_mm", f.median_mm},
+          {"nll", f.nll},
+          {"nse", f.nse},
+          {"coverage_1sigma", f.coverage_1sigma},
+          {"sigma_mm", f.sigma_mm}};
+}
+
+}  // namespace
+
+std::string prediction_evaluation_json(const PredictionEvaluation& r) {
+  ordered_json json;
+  json["settled"] = {{"from_start", to_json(r.from_start)},
+                     {"from_random", to_json(r.from_random)},
+                     {"no_knowledge", to_json(r.no_knowledge)}};
+  const auto list = [](const std::vector<PredictionFigures>& all) {
+    auto array = ordered_json::array();
+    for (const auto& f : all) array.push_back(to_json(f));
+    return array;
+  };
+  json["by_step"] = list(r.by_step);
+  json["by_step_from_random"] = list(r.by_step_from_random);
+  json["by_step_no_knowledge"] = list(r.by_step_no_knowledge);
+  json["baselines"] = ordered_json::object();
+  for (const auto& [name, f] : r.baselines)
+    json["baselines"][name] = {{"n", f.n}, {"mean_mm", f.mean_mm}, {"median_mm", f.median_mm}};
+  json["failed"] = r.failed;
+  json["predict_seconds"] = r.seconds;
+  return json.dump(2) + "\n";
+}
+
+std::string prediction_evaluation_csv(const PredictionEvaluation& r) {
+  std::string text = "what,steps,n,mean_mm,median_mm,nll,coverage_1sigma,nse,sigma_mm\n";
+  const auto row = [&](const std::string& what, const PredictionFigures& f, bool has_sigma) {
+    char line[240];
+    if (has_sigma) {
+      std::snprintf(line, sizeof(line), ",%.9g,%td,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g\n", f.steps, f.n, f.mean_mm,
+                    f.median_mm, f.nll, f.coverage_1sigma, f.nse, f.sigma_mm);
+    } else {
+      std::snprintf(line, sizeof(line), ",%.9g,%td,%.9g,%.9g,,,,\n", f.steps, f.n, f.mean_mm, f.median_mm);
+    }
+    text += what + line;
+  };
+  row("settled.from_start", r.from_start, true);
+  row("settled.from_random", r.from_random, true);
+  row("settled.no_knowledge", r.no_knowledge, true);
+  for (const auto& f : r.by_step) row("by_step", f, true);
+  for (const auto& f : r.by_step_from_random) row("by_step_from_random", f, true);
+  for (const auto& f : r.by_step_no_knowledge) row("by_step_no_knowledge", f, true);
+  for (const auto& [name, f] : r.baselines) row("baselines." + name, f, false);
+  return text;
+}
+
+}  // namespace weft

@@ -1,0 +1,310 @@
+// Examples: made from (seed, index) alone, files whole or refused, the same bytes whatever the order and the threads.
+#include <algorithm>
+#include <atomic>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <thread>
+
+#include "toy_trajectory.hpp"
+#include "unit/test_support.hpp"
+#include "weft/dataset.hpp"
+#include "weft/hdf5_file.hpp"
+
+namespace weft {
+namespace {
+
+using test::Folder;
+using test::message_of;
+using ::testing::HasSubstr;
+
+/// Every vertex goes a share of the way to its hand; the share depends on the fabric. Diverges above a height.
+class ToySimulator final : public Simulator {
+ public:
+  explicit ToySimulator(double diverge_above) : diverge_above_(diverge_above) {}
+  SimulatorCapabilities capabilities() const override { return {}; }
+  void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene&) override {
+    positions_ = garment->positions;
+    share_ = 0.05 * fabric.friction;
+  }
+  void set_state(const Positions& positions, const Positions&, std::span<const Index>) override {
+    positions_ = positions;
+  }
+  void grasp(std::span<const Index>) override {}
+  std::vector<Index> grasped() const override { return {0, 1}; }
+  void step(const Positions& targets) override {
+    if (targets(0, 2) > diverge_above_) throw Diverged("toy: frame 7: not finite");
+    for (Index v = 0; v < positions_.rows(); ++v)
+      positions_.row(v) += share_ * (targets.row(v % 2) - positions_.row(v));
+  }
+  void release(std::span<const Index>) override {}
+  void release() override {}
+  SettleResult settle(const SettleCriterion&) override {
+    positions_.col(2) *= 0.1;
+    return {.frames = 3, .max_speed = 0.001, .settled = true};
+  }
+  const Positions& positions() const override { return positions_; }
+  const Positions& velocities() const override { return positions_; }
+  Index frame() const override { return 0; }
+  SimulatorDiagnostics diagnostics() const override { return {}; }
+
+ private:
+  double diverge_above_, share_ = 0.0;
+  Positions positions_;
+};
+
+class ToyHost final : public Host {
+ public:
+  explicit ToyHost(int threads, double diverge_above = 1e9) : threads_(threads), diverge_above_(diverge_above) {}
+  int threads() const override { return threads_; }
+  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
+    std::atomic<std::int64_t> next{0};
+    std::vector<std::thread> workers;
+    for (int t = 0; t < threads_; ++t) {
+      workers.emplace_back([&] {
+        for (std::int64_t i = next++; i < count; i = next++) body(i);
+      });
+    }
+    for (auto& worker : workers) worker.join();
+  }
+  bool cancelled() const override { return stop_after_ >= 0 && made_.load() > stop_after_; }
+  void log(LogLevel, const std::string& message) override { messages_ += message + "\n"; }
+  std::uint64_t seed() const override { return 5; }
+  std::string messages_;
+  int stop_after_ = -1;
+
+ protected:
+  std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override {
+    ++made_;
+    return std::make_shared<ToySimulator>(diverge_above_);
+  }
+
+ private:
+  int threads_;
+  double diverge_above_;
+  std::atomic<int> made_{0};
+};
+
+Task toy_task() {
+  Task task;
+  Mesh mesh;
+  mesh.positions.resize(4, 3);
+  mesh.positions << 0, 0, 0, 0.1, 0, 0, 0, 0.1, 0, 0.1, 0.1, 0;
+  mesh.faces.resize(2, 3);
+  mesh.faces << 0, 1, 2, 1, 3, 2;
+  task.garment = std::make_shared<const Garment>(make_garment(mesh, "patch"));
+  task.trajectory = std::make_shared<const test::ToyTrajectory>();
+  task.manipulation.grasp_vertices = {0, 1};
+  task.manipulation.grasp_points = mesh.positions.topRows(2);
+  task.manipulation.displacement = {0.1, 0.0};
+  task.material.ranges = {{{0.2, 0.9, false}, {0.5, 2.0, true}, {0.5, 2.0, true}, {0.001, 0.002, false}}};
+  return task;
+}
+
+DataParams small_shards() {
+  DataParams params;
+  params.shard_examples = 8;
+  params.test_fraction = 0.3;
+  params.validation_fraction = 0.2;
+  params.max_segments = 12;
+  return params;
+}
+
+DatasetHeader header_of(const Task& task, const DataParams& params, std::uint64_t seed = 5) {
+  return make_dataset_header(task, params, seed, ConfigNode::parse("{a: 1}", "test"), "{}");
+}
+
+GenerateReport generate(const std::filesystem::path& folder, std::int64_t examples, Host& host, std::int64_t shard = 0,
+                        std::int64_t shards = 1) {
+  const Task task = toy_task();
+  const DataParams params = small_shards();
+  GenerateOptions options;
+  options.examples = examples;
+  options.folder = folder;
+  options.shard_index = shard;
+  options.shard_count = shards;
+  return generate_dataset(task, params, header_of(task, params), options, host);
+}
+
+std::string bytes_of(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+std::map<std::string, std::string> contents(const std::filesystem::path& folder) {
+  std::map<std::string, std::string> all;
+  for (const auto& file : list_shards(folder)) all[file.filename().string()] = bytes_of(file);
+  return all;
+}
+
+TEST(Dataset, BytesDoNotDependOnThreadsPartsOrInterruptions) {
+  const Folder folder;
+  ToyHost one(1), four(4);
+  EXPECT_EQ(generate(folder / "whole", 37, one).made, 37);
+  const auto whole = contents(folder / "whole");
+  ASSERT_EQ(whole.size(), 5u);
+  generate(folder / "threads", 37, four);
+  EXPECT_EQ(contents(folder / "threads"), whole);
+
+  generate(folder / "parts", 37, four, 2, 3);
+  generate(folder / "parts", 37, four, 0, 3);
+  generate(folder / "parts", 37, one, 1, 3);
+  EXPECT_EQ(contents(folder / "parts"), whole);
+
+  // A file missing, one cut short, one with a wrong byte, one of a smaller run, and the leavings of a killed one.
+  auto broken = bytes_of(folder / "parts" / shard_name(1));
+  std::ofstream(folder / "parts" / shard_name(1), std::ios::binary) << broken.substr(0, broken.size() / 2);
+  broken = bytes_of(folder / "parts" / shard_name(3));
+  broken[broken.size() * 3 / 4] ^= 1;
+  std::ofstream(folder / "parts" / shard_name(3), std::ios::binary) << broken;
+  std::filesystem::remove(folder / "parts" / shard_name(0));
+  std::ofstream(folder / "parts" / "shard-00000.h5.tmp99") << "half";
+  const GenerateReport repaired = generate(folder / "parts", 37, one);
+  EXPECT_GE(repaired.refused, 1);
+  EXPECT_EQ(contents(folder / "parts"), whole);
+  EXPECT_FALSE(std::filesystem::exists(folder / "parts" / "shard-00000.h5.tmp99"));
+
+  generate(folder / "grown", 20, four);
+  const GenerateReport grown = generate(folder / "grown", 37, four);
+  EXPECT_EQ(grown.kept, 16);
+  EXPECT_EQ(contents(folder / "grown"), whole);
+}
+
+TEST(Dataset, AnotherSeedOrConfigInTheFolderIsRefused) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "d", 10, host);
+  const Task task = toy_task();
+  GenerateOptions options;
+  options.examples = 10;
+  options.folder = folder / "d";
+  const auto message = message_of<ConfigError>(
+      [&] { generate_dataset(task, small_shards(), header_of(task, small_shards(), 6), options, host); });
+  EXPECT_THAT(message, HasSubstr("belongs to another dataset"));
+}
+
+TEST(Dataset, LoadsWhatWasSimulated) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "d", 20, host);
+  const Dataset data = Dataset::load(folder / "d");
+  const Task task = toy_task();
+  data.require_task(task);
+  ASSERT_EQ(data.examples.size(), 20u);
+  ToySimulator simulator(1e9);
+  for (std::size_t i = 0; i < data.examples.size(); ++i) {
+    const Example& got = data.examples[i];
+    const Example made = make_example(simulator, task, small_shards(), 5, static_cast<std::int64_t>(i));
+    EXPECT_EQ(got.index, static_cast<std::int64_t>(i));
+    EXPECT_EQ(got.q, made.q);
+    EXPECT_EQ(got.controls, made.controls);
+    EXPECT_EQ(got.states, made.states);
+    EXPECT_EQ(got.targets, made.targets);
+    EXPECT_EQ(got.shapes, made.shapes);
+    EXPECT_EQ(got.released, made.released);
+    EXPECT_EQ(got.states.rows(), got.segments() + 1);
+    EXPECT_EQ(got.shapes.size(), static_cast<std::size_t>((got.segments() + 1) * 12));
+    const FoldResult fold = simulate_fold(simulator, task, got.q, got.controls);
+    EXPECT_LT((data.shape(i, got.segments()) - fold.shapes.back()).cwiseAbs().maxCoeff(), 1e-7);
+  }
+  EXPECT_EQ(Dataset::load(folder / "d", 3).examples.size(), 3u);
+  EXPECT_THROW(data.shape(0, 100), ShapeError);
+}
+
+TEST(Dataset, AFailedSimulationIsRecorded) {
+  const Folder folder;
+  ToyHost host(2, 0.9);
+  const GenerateReport report = generate(folder / "d", 24, host);
+  EXPECT_GT(report.failed, 0);
+  EXPECT_LT(report.failed, 24);
+  const Dataset data = Dataset::load(folder / "d");
+  std::int64_t failed = 0;
+  for (const auto& e : data.examples) {
+    failed += e.failed();
+    if (!e.failed()) continue;
+    EXPECT_THAT(e.failure, HasSubstr("frame 7"));
+    EXPECT_EQ(e.segments(), 0);
+    EXPECT_TRUE(e.q.allFinite());
+  }
+  EXPECT_EQ(failed, report.failed);
+  std::size_t selected = 0;
+  for (const Split split : {Split::train, Split::validation, Split::test}) selected += data.select(split).size();
+  EXPECT_EQ(selected, 24u - static_cast<std::size_t>(failed));
+}
+
+TEST(Dataset, SplitsByIndexAndMergesBackToTheSameBytes) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "d", 37, host);
+  const auto counts = split_dataset(folder / "d", folder / "s");
+  EXPECT_EQ(counts[0] + counts[1] + counts[2], 37);
+  for (const auto count : counts) EXPECT_GT(count, 0);
+  const Dataset part = Dataset::load(folder / "s" / "test");
+  for (const auto& e : part.examples) EXPECT_EQ(part.header.split(e.index), Split::test);
+  merge_datasets({folder / "s" / "validation", folder / "s" / "train", folder / "s" / "test"}, folder / "m");
+  EXPECT_EQ(contents(folder / "m"), contents(folder / "d"));
+  EXPECT_THROW(merge_datasets({folder / "d"}, folder / "m"), ConfigError);
+  EXPECT_THROW(merge_datasets({folder / "none"}, folder / "n"), ConfigError);
+}
+
+TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "d", 5, host);
+  const auto file = folder / "d" / shard_name(0);
+  const std::string good = bytes_of(file);
+  const Shard truth = read_shard(file);
+  RandomStream random(3);
+  int refused = 0;
+  for (int trial = 0; trial < 150; ++trial) {
+    std::string bad = good;
+    if (trial % 3 == 0) {
+      bad.resize(random.below(bad.size()));
+    } else {
+      for (int k = 0; k < 1 + trial % 4; ++k) bad[random.below(bad.size())] ^= static_cast<char>(1 + random.below(255));
+    }
+    const auto place = folder / "bad.h5";
+    std::ofstream(place, std::ios::binary) << bad;
+    try {
+      const Shard read = read_shard(place);
+      // Only bytes that carry nothing (padding, unused tables, texts that no number depends on) may change unnoticed.
+      ASSERT_EQ(read.examples.size(), truth.examples.size());
+      for (std::size_t i = 0; i < truth.examples.size(); ++i) {
+        EXPECT_EQ(read.examples[i].shapes, truth.examples[i].shapes);
+        EXPECT_EQ(read.examples[i].controls, truth.examples[i].controls);
+        EXPECT_EQ(read.examples[i].q, truth.examples[i].q);
+      }
+    } catch (const Error& error) {
+      ++refused;
+      EXPECT_THAT(error.what(), HasSubstr("bad.h5"));
+    }
+  }
+  EXPECT_GT(refused, 60);
+  EXPECT_THROW(Dataset::load(folder / "nothing"), ConfigError);
+}
+
+TEST(Dataset, ExamplesOfAnotherTaskAreRefusedWithTheReason) {
+  const Folder folder;
+  ToyHost host(1);
+  generate(folder / "d", 5, host);
+  const Dataset data = Dataset::load(folder / "d");
+  Task other = toy_task();
+  other.manipulation.grasp_points(0, 0) += 0.01;
+  EXPECT_THAT(message_of<ConfigError>([&] { data.require_task(other); }), HasSubstr("another manipulation"));
+  auto garment = std::make_shared<Garment>(*toy_task().garment);
+  garment->hash ^= 1;
+  other = toy_task();
+  other.garment = garment;
+  EXPECT_THAT(message_of<ConfigError>([&] { data.require_task(other); }), HasSubstr("garment 'patch'"));
+}
+
+TEST(Hdf5File, HalfPrecisionIsExactForHalves) {
+  const Folder folder;
+  const std::vector<float> halves = {0.0f, 1.0f, -2.5f, 65504.0f, 0.0999755859375f, 5.9604645e-8f, -0.333251953125f};
+  auto file = Hdf5File::create(folder / "h.h5");
+  file.write_half("/x", {7}, halves.data());
+  file.commit();
+  EXPECT_EQ(Hdf5File::open(folder / "h.h5").read_float("/x"), halves);
+}
+
+}  // namespace
+}  // namespace weft
