@@ -1,0 +1,375 @@
+#include "emd.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "training.hpp"
+
+namespace weft::emd {
+namespace {
+
+constexpr Index kMostRows = 16;     // per block: what fits the second-level cache together with a layer
+constexpr Index kMostWanted = 512;  // per block: bounds the memory of a decoded block
+
+/// One block of cases with what is needed to differentiate it.
+struct Part {
+  std::vector<std::size_t> cases;  // row -> case
+  Block block;
+  std::vector<std::pair<std::size_t, std::size_t>> places;  // wanted -> case, entry of case.segments
+  Network::Tape tape;
+};
+
+class EmdPrediction final : public Prediction {
+ public:
+  EmdPrediction(std::shared_ptr<const EmdPredictor::Bound> bound, Host& host, const std::vector<PredictionCase>& cases,
+                const PredictionRequest& request)
+      : bound_(std::move(bound)), host_(host), request_(request), shapes_(cases.size()), failures_(cases.size()) {
+    for (const auto& one : cases) {
+      segments_.push_back(one.segments);
+      sizes_.emplace_back(one.controls.rows(), one.controls.cols());
+      has_previous_.push_back(one.previous != nullptr);
+    }
+    make_inputs(cases);
+    make_parts(cases);
+    host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
+                       [&](std::int64_t p) { run(cases, parts_[static_cast<std::size_t>(p)]); });
+  }
+
+  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
+  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
+
+  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
+    if (!request_.gradients) throw Unsupported("emd: pullback needs a prediction made with gradients");
+    check_sizes(cotangents);
+    std::vector<CaseGradient> gradients(segments_.size());
+    for (std::size_t i = 0; i < gradients.size(); ++i) {
+      gradients[i].controls = Controls::Zero(sizes_[i].first, sizes_[i].second);
+      gradients[i].state = Vector::Zero(dim().states);
+      gradients[i].shape = Positions::Zero(dim().vertices, 3);
+    }
+    host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
+                       [&](std::int64_t p) { pull(parts_[static_cast<std::size_t>(p)], cotangents, gradients); });
+    for (auto& gradient : gradients) {
+      if (!request_.control_gradients) gradient.controls.setZero();
+      if (!request_.knowledge_gradients) gradient.centre = gradient.width = PropertyVector::Zero();
+    }
+    return gradients;
+  }
+
+  std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
+      const std::vector<std::vector<CaseDirection>>& directions) const override {
+    if (!request_.gradients) throw Unsupported("emd: jvp needs a prediction made with gradients");
+    require_shape("emd: direction cases", static_cast<Index>(directions.size()), static_cast<Index>(segments_.size()));
+    std::vector<std::vector<std::vector<ShapeCotangent>>> tangents(directions.size());
+    for (std::size_t i = 0; i < directions.size(); ++i) {
+      for (const auto& d : directions[i]) {
+        require_shape("emd: direction rows", d.controls.rows(), sizes_[i].first);
+        require_shape("emd: direction columns", d.controls.cols(), sizes_[i].second);
+      }
+      tangents[i].resize(directions[i].size());
+    }
+    host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
+                       [&](std::int64_t p) { push(parts_[static_cast<std::size_t>(p)], directions, tangents); });
+    return tangents;
+  }
+
+ private:
+  const Model& model() const { return *bound_->model; }
+  const Dimensions& dim() const { return bound_->model->dimensions; }
+  const CaseInputs& input(const Part& part, Index row) const {
+    return *inputs_[part.cases[static_cast<std::size_t>(row)]];
+  }
+
+  void check_sizes(const std::vector<std::vector<ShapeCotangent>>& cotangents) const {
+    require_shape("emd: cotangent cases", static_cast<Index>(cotangents.size()), static_cast<Index>(segments_.size()));
+    for (std::size_t i = 0; i < cotangents.size(); ++i) {
+      require_shape("emd: cotangents of a case", static_cast<Index>(cotangents[i].size()),
+                    static_cast<Index>(segments_[i].size()));
+      for (const auto& c : cotangents[i]) {
+        if (c.mean.rows() > 0) require_shape("emd: cotangent rows", c.mean.rows(), dim().vertices);
+        if (c.sigma.rows() > 0) {
+          require_shape("emd: cotangent rows", c.sigma.rows(), dim().vertices);
+          if (request_.moments == Moments::mean)
+            throw Unsupported("emd: cotangents of sigma, but only the mean was asked for");
+        }
+      }
+    }
+  }
+
+  /// States and grasp targets of every case. One that a trajectory cannot follow has failed and joins no block.
+  void make_inputs(const std::vector<PredictionCase>& cases) {
+    inputs_.resize(cases.size());
+    for (std::size_t i = 0; i < cases.size(); ++i) {
+      if (cases[i].segments.empty()) continue;
+      try {
+        inputs_[i] = std::make_unique<const CaseInputs>(bound_->task, dim(), cases[i], cases[i].segments.back());
+      } catch (const Error& error) {
+        failures_[i] = error.what();
+      }
+    }
+  }
+
+  /// Cases in order of descending length, in blocks that share the threads evenly.
+  void make_parts(const std::vector<PredictionCase>& cases) {
+    std::vector<std::size_t> order;
+    for (std::size_t i = 0; i < cases.size(); ++i) {
+      if (inputs_[i]) order.push_back(i);
+    }
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::size_t a, std::size_t b) { return cases[a].segments.back() > cases[b].segments.back(); });
+    const auto count = static_cast<Index>(order.size());
+    if (count == 0) return;
+    const Index threads = std::max(1, host_.threads());
+    const Index blocks = std::max((count + kMostRows - 1) / kMostRows, std::min(threads, (count + 3) / 4));
+    // Block b takes every blocks-th case: blocks of like length.
+    std::vector<std::vector<std::size_t>> rows(static_cast<std::size_t>(blocks));
+    for (std::size_t i = 0; i < order.size(); ++i) rows[i % static_cast<std::size_t>(blocks)].push_back(order[i]);
+    for (auto& part_rows : rows) {
+      Index wanted = 0;
+      parts_.emplace_back();
+      for (const auto i : part_rows) {
+        const auto more = static_cast<Index>(cases[i].segments.size());
+        if (wanted > 0 && wanted + more > kMostWanted) {
+          parts_.emplace_back();
+          wanted = 0;
+        }
+        parts_.back().cases.push_back(i);
+        wanted += more;
+      }
+    }
+  }
+
+  void run(const std::vector<PredictionCase>& cases, Part& part) {
+    const Index n = dim().coordinates(), u = dim().inputs();
+    auto& block = part.block;
+    block.rows = static_cast<Index>(part.cases.size());
+    block.shape.resize(static_cast<std::size_t>(block.rows * n));
+    block.change.assign(static_cast<std::size_t>(block.rows * n), 0.0f);
+    for (Index r = 0; r < block.rows; ++r) {
+      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      const auto& one = cases[i];
+      block.steps.push_back(one.segments.back());
+      float* y = block.shape.data() + r * n;
+      for (Index c = 0; c < n; ++c)
+        y[c] = static_cast<float>(one.shape->data()[c]) / kLength - model().mean[static_cast<std::size_t>(c)];
+      if (one.previous) {
+        float* v = block.change.data() + r * n;
+        for (Index c = 0; c < n; ++c)
+          v[c] = static_cast<float>(one.shape->data()[c] - one.previous->data()[c]) / kLength;
+      }
+      for (std::size_t s = 0; s < one.segments.size(); ++s) {
+        block.wanted.push_back({r, one.segments[s]});
+        part.places.emplace_back(i, s);
+      }
+    }
+    block.inputs.resize(static_cast<std::size_t>(block.total() * u));
+    float* to = block.inputs.data();
+    for (Index j = 0; j < block.steps.front(); ++j) {
+      const Index running = block.running(j);
+      for (Index r = 0; r < running; ++r, to += u) input(part, r).write(model(), j, to);
+    }
+    const bool has_sigma = request_.moments == Moments::mean_and_sigma;
+    const std::size_t count = block.wanted.size() * static_cast<std::size_t>(n);
+    std::vector<float> mean(count), sigma(has_sigma ? count : 0);
+    bound_->network->forward(block, part.tape, mean.data(), has_sigma ? sigma.data() : nullptr);
+    for (std::size_t w = 0; w < block.wanted.size(); ++w) {
+      const auto [i, s] = part.places[w];
+      shapes_[i].resize(segments_[i].size());
+      auto& shape = shapes_[i][s];
+      shape.mean.resize(dim().vertices, 3);
+      shape.sigma.resize(has_sigma ? dim().vertices : 0, 3);
+      const float* m = mean.data() + w * static_cast<std::size_t>(n);
+      const float factor = model().sigma_factor(block.wanted[w].step) * kLength;
+      for (Index c = 0; c < n; ++c)
+        shape.mean.data()[c] = static_cast<double>((m[c] + model().mean[static_cast<std::size_t>(c)]) * kLength);
+      if (has_sigma) {
+        const float* d = sigma.data() + w * static_cast<std::size_t>(n);
+        for (Index c = 0; c < n; ++c) shape.sigma.data()[c] = static_cast<double>(d[c] * factor);
+      }
+      if (!shape.mean.allFinite() || !shape.sigma.allFinite()) {
+        failures_[i] = "emd: the prediction after " + std::to_string(block.wanted[w].step) +
+                       " segments is not finite; the inputs lie far outside of what it was trained on";
+      }
+    }
+    for (const auto i : part.cases) {
+      if (!failures_[i].empty()) shapes_[i].clear();
+    }
+    if (!request_.gradients) {
+      part.tape = {};
+      part.block = {};
+    }
+  }
+
+  void pull(const Part& part, const std::vector<std::vector<ShapeCotangent>>& cotangents,
+            std::vector<CaseGradient>& gradients) const {
+    const auto& block = part.block;
+    const Index n = dim().coordinates(), u = dim().inputs();
+    const std::size_t count = block.wanted.size() * static_cast<std::size_t>(n);
+    std::vector<float> d_mean(count, 0.0f), d_sigma;
+    for (std::size_t w = 0; w < block.wanted.size(); ++w) {
+      const auto [i, s] = part.places[w];
+      if (!failures_[i].empty()) continue;
+      const auto& cotangent = cotangents[i][s];
+      float* m = d_mean.data() + w * static_cast<std::size_t>(n);
+      if (cotangent.mean.rows() > 0) {
+        for (Index c = 0; c < n; ++c) m[c] = static_cast<float>(cotangent.mean.data()[c]) * kLength;
+      }
+      if (cotangent.sigma.rows() > 0) {
+        if (d_sigma.empty()) d_sigma.assign(count, 0.0f);
+        const float factor = model().sigma_factor(block.wanted[w].step) * kLength;
+        float* d = d_sigma.data() + w * static_cast<std::size_t>(n);
+        for (Index c = 0; c < n; ++c) d[c] = static_cast<float>(cotangent.sigma.data()[c]) * factor;
+      }
+    }
+    std::vector<float> d_inputs(block.inputs.size()), d_shape(block.shape.size()), d_change(block.shape.size());
+    bound_->network->pullback(block, part.tape, d_mean.data(), d_sigma.empty() ? nullptr : d_sigma.data(),
+                              d_inputs.data(), d_shape.data(), d_change.data());
+    for (Index r = 0; r < block.rows; ++r) {
+      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      if (!failures_[i].empty()) continue;
+      std::vector<const float*> rows;
+      for (Index j = 0; j < block.steps[static_cast<std::size_t>(r)]; ++j)
+        rows.push_back(d_inputs.data() + (part.tape.offset[static_cast<std::size_t>(j)] + r) * u);
+      input(part, r).pullback(model(), rows, gradients[i]);
+      for (Index c = 0; c < n; ++c) {
+        const auto at = static_cast<std::size_t>(r * n + c);
+        const float sum = has_previous_[i] ? d_shape[at] + d_change[at] : d_shape[at];
+        gradients[i].shape.data()[c] = static_cast<double>(sum / kLength);
+      }
+    }
+  }
+
+  void push(const Part& part, const std::vector<std::vector<CaseDirection>>& directions,
+            std::vector<std::vector<std::vector<ShapeCotangent>>>& tangents) const {
+    const auto& block = part.block;
+    const Index n = dim().coordinates(), u = dim().inputs();
+    std::vector<Index> rows;
+    std::vector<std::vector<std::vector<float>>> inputs;  // [direction][segment][input]
+    for (Index r = 0; r < block.rows; ++r) {
+      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      for (const auto& direction : directions[i]) {
+        rows.push_back(r);
+        inputs.emplace_back();
+        input(part, r).tangent(model(), direction, inputs.back());
+      }
+    }
+    if (rows.empty()) return;
+    std::vector<float> flat;
+    for (std::size_t j = 0; j < part.tape.running.size(); ++j) {
+      for (std::size_t t = 0; t < rows.size() && rows[t] < part.tape.running[j]; ++t)
+        flat.insert(flat.end(), inputs[t][j].begin(), inputs[t][j].end());
+    }
+    flat.resize(std::max<std::size_t>(flat.size(), static_cast<std::size_t>(u)));
+    std::size_t shapes = 0;
+    for (const Index r : rows) shapes += segments_[part.cases[static_cast<std::size_t>(r)]].size();
+    const bool has_sigma = request_.moments == Moments::mean_and_sigma;
+    std::vector<float> d_mean(shapes * static_cast<std::size_t>(n)), d_sigma(has_sigma ? d_mean.size() : 0);
+    bound_->network->tangent(block, part.tape, rows, flat.data(), d_mean.data(), has_sigma ? d_sigma.data() : nullptr);
+    std::size_t at = 0;
+    std::vector<std::size_t> next(directions.size(), 0);
+    for (const Index r : rows) {
+      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      auto& result = tangents[i][next[i]++];
+      for (const Index segment : segments_[i]) {
+        ShapeCotangent one;
+        one.mean.resize(dim().vertices, 3);
+        one.sigma.resize(has_sigma ? dim().vertices : 0, 3);
+        const float factor = model().sigma_factor(segment) * kLength;
+        for (Index c = 0; c < n; ++c)
+          one.mean.data()[c] = static_cast<double>(d_mean[at + static_cast<std::size_t>(c)] * kLength);
+        for (Index c = 0; c < one.sigma.size(); ++c)
+          one.sigma.data()[c] = static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * factor);
+        at += static_cast<std::size_t>(n);
+        result.push_back(std::move(one));
+      }
+    }
+  }
+
+  std::shared_ptr<const EmdPredictor::Bound> bound_;
+  Host& host_;
+  PredictionRequest request_;
+  std::vector<std::vector<Index>> segments_;
+  std::vector<std::pair<Index, Index>> sizes_;  // of the controls
+  std::vector<bool> has_previous_;
+  std::vector<std::unique_ptr<const CaseInputs>> inputs_;  // per case; null: nothing to predict
+  std::vector<Part> parts_;
+  std::vector<std::vector<ShapeDistribution>> shapes_;
+  std::vector<std::string> failures_;
+};
+
+void check(const Dimensions& d, const PredictionCase& one, std::size_t i) {
+  const std::string where = "emd: case " + std::to_string(i) + ": ";
+  if (!one.shape) throw ShapeError(where + "has no shape");
+  require_shape(where + "shape rows", one.shape->rows(), d.vertices);
+  if (one.previous) require_shape(where + "previous rows", one.previous->rows(), d.vertices);
+  require_shape(where + "state", one.state.size(), d.states);
+  require_shape(where + "control columns", one.controls.cols(), d.controls);
+  Index before = 0;
+  for (const Index segment : one.segments) {
+    if (segment <= before || segment > one.controls.rows()) {
+      throw ShapeError(where + "segments must ascend within [1, " + std::to_string(one.controls.rows()) + "], got " +
+                       std::to_string(segment));
+    }
+    before = segment;
+  }
+  const bool finite = one.shape->allFinite() && (!one.previous || one.previous->allFinite()) && one.state.allFinite() &&
+                      one.controls.allFinite() && one.knowledge.centre.allFinite() && one.knowledge.width.allFinite();
+  if (!finite) throw Error(where + "holds a number that is not finite");
+}
+
+}  // namespace
+
+PredictorCapabilities EmdPredictor::capabilities() const {
+  return {.gradients = true,
+          .state_gradients = true,
+          .shape_gradients = true,
+          .jvp = true,
+          .deterministic = true,
+          .needs_binding = true};
+}
+
+void EmdPredictor::bind(const Task& task) {
+  if (!model_) {
+    if (!params_.model.empty()) {
+      load(params_.model);
+    } else if (params_.untrained) {
+      model_ = std::make_shared<const Model>(untrained_model(params_.architecture, task, host_.seed()));
+    } else {
+      throw ConfigError("emd: needs a model file: predictor.params.model; `weft train` makes one");
+    }
+  }
+  const std::string warning = model_->require_task(task, params_.other_fabric == "warn");
+  if (!warning.empty()) host_.log(LogLevel::warning, warning);
+  auto bound = std::make_shared<Bound>();
+  bound->task = task;
+  bound->model = model_;
+  bound->network = std::make_unique<const Network>(*model_, kernels());
+  bound_ = std::move(bound);
+}
+
+std::unique_ptr<Prediction> EmdPredictor::predict(const std::vector<PredictionCase>& cases,
+                                                  const PredictionRequest& request) const {
+  if (!bound_) throw Error("emd: predict() before bind()");
+  for (std::size_t i = 0; i < cases.size(); ++i) check(bound_->model->dimensions, cases[i], i);
+  return std::make_unique<EmdPrediction>(bound_, host_, cases, request);
+}
+
+FitReport EmdPredictor::fit(const Dataset& dataset, const Task& task, const FitOptions& options,
+                            const FitObserver& observer) {
+  const auto run = reinterpret_cast<FitFunction>(training_function("weft_emd_fit"));
+  FitJob job{dataset, task, params_.architecture, params_.training, options, observer, host_, {}, {}};
+  run(job);
+  model_ = std::make_shared<const Model>(std::move(job.model));
+  bound_.reset();
+  return job.report;
+}
+
+void EmdPredictor::save(const std::filesystem::path& file) const {
+  if (!model_) throw Error("emd: has no model to save");
+  save_model(file, *model_, params_.training.half_precision);
+}
+
+void EmdPredictor::load(const std::filesystem::path& file) { model_ = std::make_shared<const Model>(load_model(file)); }
+
+}  // namespace weft::emd

@@ -1,0 +1,44 @@
+#pragma once
+#include <memory>
+#include <mutex>
+
+#include "inputs.hpp"
+#include "network.hpp"
+#include "weft/host.hpp"
+#include "weft/trainable.hpp"
+
+namespace weft::emd {
+
+/// The learned predictor (section 2.3), after the EM*D family: encoder, recurrent prediction module, decoder to mean
+/// and sigma. Prediction and its derivatives are written out by hand and need no library; training (fit) needs
+/// libtorch, which is loaded only then.
+class EmdPredictor final : public Predictor, public TrainablePredictor {
+ public:
+  EmdPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
+  PredictorCapabilities capabilities() const override;
+  /// @throws ConfigError when there is no model or it does not fit the task.
+  void bind(const Task& task) override;
+  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
+                                      const PredictionRequest& request) const override;
+  TrainablePredictor* trainable() override { return this; }
+
+  FitReport fit(const Dataset& dataset, const Task& task, const FitOptions& options,
+                const FitObserver& observer) override;
+  void save(const std::filesystem::path& file) const override;
+  void load(const std::filesystem::path& file) override;
+
+  /// What predictions share and keep alive.
+  struct Bound {
+    Task task;
+    std::shared_ptr<const Model> model;
+    std::unique_ptr<const Network> network;
+  };
+
+ private:
+  Params params_;
+  Host& host_;
+  std::shared_ptr<const Model> model_;
+  std::shared_ptr<const Bound> bound_;
+};
+
+}  // namespace weft::emd

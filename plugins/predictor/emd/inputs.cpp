@@ -1,0 +1,122 @@
+#include "inputs.hpp"
+
+#include <algorithm>
+
+namespace weft::emd {
+
+void write_inputs(const Dimensions& d, const double* control, const double* state_before, const double* state_after,
+                  const double* targets_before, const double* targets_after, bool released,
+                  const PropertyVector& centre, const PropertyVector& width, double* to) {
+  to = std::copy_n(control, d.controls, to);
+  to = std::copy_n(state_before, d.states, to);
+  to = std::copy_n(state_after, d.states, to);
+  to = std::copy_n(targets_before, 3 * d.hands, to);
+  to = std::copy_n(targets_after, 3 * d.hands, to);
+  *to++ = released ? 1.0 : 0.0;
+  to = std::copy_n(centre.data(), 4, to);
+  std::copy_n(width.data(), 4, to);
+}
+
+CaseInputs::CaseInputs(const Task& task, const Dimensions& dimensions, const PredictionCase& one, Index steps)
+    : task_(task), dim_(dimensions), controls_(one.controls.topRows(steps)), knowledge_(one.knowledge) {
+  const auto& trajectory = *task.trajectory;
+  states_.resize(steps + 1, dim_.states);
+  states_.row(0) = one.state.transpose();
+  if (steps > 0) states_.bottomRows(steps) = trajectory.segment_states(task.manipulation, one.state, controls_);
+  targets_.resize(steps + 1, 3 * dim_.hands);
+  for (Index j = 0; j <= steps; ++j) {
+    const Positions targets = trajectory.targets(task.manipulation, states_.row(j).transpose());
+    targets_.row(j) = Eigen::Map<const Vector>(targets.data(), targets.size()).transpose();
+    if (j > 0) released_.push_back(trajectory.released(states_.row(j).transpose()));
+  }
+}
+
+void CaseInputs::write(const Model& model, Index j, float* to) const {
+  double raw[512];  // load_model and describe_task bound the sizes
+  write_inputs(dim_, controls_.row(j).data(), states_.row(j).data(), states_.row(j + 1).data(), targets_.row(j).data(),
+               targets_.row(j + 1).data(), released_[static_cast<std::size_t>(j)], knowledge_.centre, knowledge_.width,
+               raw);
+  for (Index i = 0; i < dim_.inputs(); ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    to[i] = static_cast<float>((raw[i] - model.input_mean[at]) / model.input_sd[at]);
+  }
+}
+
+void CaseInputs::pullback(const Model& model, const std::vector<const float*>& d_inputs, CaseGradient& gradient) const {
+  const auto& trajectory = *task_.trajectory;
+  const Index steps = controls_.rows(), targets = 3 * dim_.hands;
+  Vector carried = Vector::Zero(dim_.states), d_state, d_control;
+  const auto add_state = [&](Index row, const Vector& raw, Index state_at, Index targets_at) {
+    carried += raw.segment(state_at, dim_.states);
+    const Positions d_targets = Eigen::Map<const Positions>(raw.data() + targets_at, dim_.hands, 3);
+    carried += trajectory.targets_pullback(task_.manipulation, states_.row(row).transpose(), d_targets);
+  };
+  std::vector<Vector> frames(static_cast<std::size_t>(kFramesPerSegment));
+  for (Index j = steps - 1; j >= 0; --j) {
+    Vector raw(dim_.inputs());
+    for (Index i = 0; i < raw.size(); ++i) {
+      raw(i) = static_cast<double>(d_inputs[static_cast<std::size_t>(j)][i]) /
+               static_cast<double>(model.input_sd[static_cast<std::size_t>(i)]);
+    }
+    const Index before = dim_.controls, after = before + dim_.states;
+    const Index targets_before = after + dim_.states, targets_after = targets_before + targets;
+    add_state(j + 1, raw, after, targets_after);
+    const Vector control = controls_.row(j).transpose();
+    frames[0] = states_.row(j).transpose();
+    for (std::size_t f = 1; f < frames.size(); ++f)
+      frames[f] = trajectory.advance(task_.manipulation, frames[f - 1], control);
+    for (std::size_t f = frames.size(); f-- > 0;) {
+      trajectory.advance_pullback(task_.manipulation, frames[f], control, carried, d_state, d_control);
+      gradient.controls.row(j) += d_control.transpose();
+      carried = d_state;
+    }
+    add_state(j, raw, before, targets_before);
+    gradient.controls.row(j) += raw.head(dim_.controls).transpose();
+    gradient.centre += raw.segment<4>(dim_.centre_input());
+    gradient.width += raw.segment<4>(dim_.width_input());
+  }
+  gradient.state += carried;
+}
+
+void CaseInputs::tangent(const Model& model, const CaseDirection& direction,
+                         std::vector<std::vector<float>>& to) const {
+  const auto& trajectory = *task_.trajectory;
+  const Index steps = controls_.rows(), s = dim_.states, c = dim_.controls, g = 3 * dim_.hands;
+  to.assign(static_cast<std::size_t>(steps), std::vector<float>(static_cast<std::size_t>(dim_.inputs())));
+  Vector d_state = Vector::Zero(s), d_targets = Vector::Zero(g);
+  Vector row_state, row_control;
+  for (Index j = 0; j < steps; ++j) {
+    Vector raw(dim_.inputs());
+    raw.head(c) = direction.controls.row(j).transpose();
+    raw.segment(c, s) = d_state;
+    raw.segment(c + 2 * s, g) = d_targets;
+    const Vector control = controls_.row(j).transpose();
+    Vector state = states_.row(j).transpose();
+    for (Index frame = 0; frame < kFramesPerSegment; ++frame) {
+      // Rows of the Jacobians, one pullback each: a trajectory offers no tangent map.
+      Vector next(s);
+      for (Index i = 0; i < s; ++i) {
+        trajectory.advance_pullback(task_.manipulation, state, control, Vector::Unit(s, i), row_state, row_control);
+        next(i) = row_state.dot(d_state) + row_control.dot(raw.head(c));
+      }
+      state = trajectory.advance(task_.manipulation, state, control);
+      d_state = next;
+    }
+    for (Index i = 0; i < g; ++i) {
+      Positions unit = Positions::Zero(dim_.hands, 3);
+      unit.data()[i] = 1.0;
+      d_targets(i) = trajectory.targets_pullback(task_.manipulation, state, unit).dot(d_state);
+    }
+    raw.segment(c + s, s) = d_state;
+    raw.segment(c + 2 * s + g, g) = d_targets;
+    raw(dim_.released_input()) = 0.0;
+    raw.segment<4>(dim_.centre_input()) = direction.centre;
+    raw.segment<4>(dim_.width_input()) = direction.width;
+    for (Index i = 0; i < raw.size(); ++i) {
+      to[static_cast<std::size_t>(j)][static_cast<std::size_t>(i)] =
+          static_cast<float>(raw(i) / static_cast<double>(model.input_sd[static_cast<std::size_t>(i)]));
+    }
+  }
+}
+
+}  // namespace weft::emd

@@ -1,0 +1,102 @@
+#pragma once
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "params.hpp"
+#include "weft/task.hpp"
+
+namespace weft::emd {
+
+/// Unit of all lengths inside the network, m.
+inline constexpr float kLength = 0.1f;
+/// The velocity input is a change of shape per segment; this brings it to the size of the shape input.
+inline constexpr float kVelocityGain = 3.0f;
+/// Largest exponent of sigma's logarithm inside the network: e^3 kLength = 2 m.
+inline constexpr float kLargestLogSigma = 3.0f;
+
+struct Dimensions {
+  Index vertices = 0, controls = 0, states = 0, hands = 0;
+  Index coordinates() const { return 3 * vertices; }
+  /// Control and knowledge inputs of one segment: controls, state before and after it, grasp targets before and after
+  /// it, whether the cloth is released at its end, centre, width.
+  Index inputs() const { return controls + 2 * states + 6 * hands + 1 + 8; }
+  Index released_input() const { return controls + 2 * states + 6 * hands; }
+  Index centre_input() const { return released_input() + 1; }
+  Index width_input() const { return centre_input() + 4; }
+};
+
+/// One matrix [rows, columns], row-major, or a vector (rows = 1), within the flat array of weights. Products are x W.
+struct Weight {
+  std::string name;
+  Index rows = 0, columns = 0;
+  std::size_t offset = 0;
+  std::size_t size() const { return static_cast<std::size_t>(rows * columns); }
+};
+
+/// Places of the weights within the flat array. With z = latent + memory:
+///   encoder  e = f(y Wy + v Wv + b),  z_0 = [PCA of y, 0] + e W + b                     y: start shape, v: change
+///   since the previous one module   h_1 = f(z Wz + u Wu + b),  h_l = f(h_{l-1} Wh + u Wu + b) + h_{l-skip},  dz =
+///   h_last W + u Wu + b,  z <- N(z + dz) decoder  g = f(z W + b),  mean = PCA^T z + g Wm + bm,  sigma = floor + exp(g
+///   Ws + bs)
+struct Layout {
+  struct Layer {
+    int h = -1, u = -1, b = -1;  ///< indices into `weights`; u = -1: this layer sees no inputs
+  };
+  std::vector<Weight> weights;
+  int encoder_shape, encoder_velocity = -1, encoder_bias, encoder_out, encoder_out_bias;
+  std::vector<Layer> layers;
+  Layer out;
+  int decoder_in, decoder_bias, mean, mean_bias, sigma, sigma_bias;
+  std::size_t size = 0;  ///< of the flat array
+
+  Layout(const Architecture& architecture, const Dimensions& dimensions);
+};
+
+/// Everything a model file holds.
+struct Model {
+  Architecture architecture;
+  Dimensions dimensions;
+  std::vector<float> weights;  ///< Layout::size
+  std::vector<float> mean;     ///< [coordinates], units of kLength
+  std::vector<float> basis;  ///< [coordinates, latent], orthonormal columns; empty without pca_skip and previous_shape
+  std::vector<float> scale;  ///< [latent]: latent = (PCA coefficient) / scale
+  std::vector<float> input_mean, input_sd;  ///< [inputs]
+  std::vector<float> calibration;  ///< [steps]: sigma after j segments is multiplied by entry j - 1, or the last one
+
+  // What it was trained for.
+  std::string garment_name;
+  std::uint64_t garment_hash = 0;
+  std::vector<std::string> control_names, state_names;
+  std::vector<double> control_low, control_high;  ///< seen in training, [controls]
+  std::vector<std::int64_t> grasp_vertices;
+  std::vector<double> initial_state, initial_targets;  ///< [states], [3 hands]
+  double drop_height = 0.0, contact_height = 0.0;
+  std::vector<double> displacement;           ///< [2]
+  std::string material;                       ///< material space, YAML
+  std::string dataset, provenance, training;  ///< identity of the data; versions and commit; training.json
+
+  bool needs_basis() const { return architecture.pca_skip || architecture.previous_shape; }
+  Index latent_size() const { return architecture.latent + architecture.memory; }
+  /// Factor on sigma after `steps` segments.
+  float sigma_factor(Index steps) const;
+  /// Takes names and geometry from a task.
+  void describe_task(const Task& task);
+  /// @throws ConfigError saying which of garment, trajectory, manipulation or material space differs, and both sides.
+  /// @return a warning, or empty.
+  std::string require_task(const Task& task, bool allow_other_fabric) const;
+};
+
+/// First weights of a fit: normal, scaled to the number of inputs.
+void draw_weights(const Layout& layout, std::uint64_t seed, std::vector<float>& weights);
+/// A model of random weights for any task, with the latent size cut to what its garment has.
+Model untrained_model(Architecture architecture, const Task& task, std::uint64_t seed);
+/// Rounds to the nearest 16-bit float, as it will be read back.
+float round_to_half(float value);
+void save_model(const std::filesystem::path& file, const Model& model, bool half_precision);
+/// Checks every size, every number and the checksum. @throws ConfigError with the reason. Runs nothing that the file
+/// holds.
+Model load_model(const std::filesystem::path& file);
+
+}  // namespace weft::emd

@@ -1,0 +1,414 @@
+#include "network.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace weft::emd {
+namespace {
+
+std::size_t size_of(Index rows, Index columns) { return static_cast<std::size_t>(rows * columns); }
+
+void add(float* to, const float* from, std::size_t count) {
+  for (std::size_t i = 0; i < count; ++i) to[i] += from[i];
+}
+
+}  // namespace
+
+Network::Network(const Model& model, const Kernels& kernels)
+    : kernels_(kernels),
+      arch_(model.architecture),
+      dim_(model.dimensions),
+      layout_(arch_, dim_),
+      weights_(model.weights),
+      z_(model.latent_size()),
+      norm_all_(arch_.latent_normalisation == "all"),
+      norm_(norm_all_ || (arch_.latent_normalisation == "memory" && arch_.memory > 0)),
+      floor_(static_cast<float>(arch_.sigma_floor_m) / kLength) {
+  encoder_shape_ = pack(layout_.encoder_shape);
+  if (arch_.previous_shape) encoder_velocity_ = pack(layout_.encoder_velocity);
+  encoder_out_ = pack(layout_.encoder_out);
+  for (const auto& layer : layout_.layers) {
+    layer_h_.push_back(pack(layer.h));
+    layer_u_.push_back(layer.u < 0 ? Packed{} : pack(layer.u));
+  }
+  out_h_ = pack(layout_.out.h);
+  if (layout_.out.u >= 0) out_u_ = pack(layout_.out.u);
+  decoder_in_ = pack(layout_.decoder_in);
+  mean_ = pack(layout_.mean);
+  sigma_ = pack(layout_.sigma);
+  if (model.needs_basis()) {
+    const Index n = dim_.coordinates(), l = arch_.latent;
+    std::vector<float> project(model.basis), expand(model.basis.size());
+    for (Index i = 0; i < n; ++i) {
+      for (Index j = 0; j < l; ++j) {
+        const float b = model.basis[size_of(i, l) + static_cast<std::size_t>(j)];
+        const float s = model.scale[static_cast<std::size_t>(j)];
+        project[size_of(i, l) + static_cast<std::size_t>(j)] = b / s;
+        expand[size_of(j, n) + static_cast<std::size_t>(i)] = b * s;
+      }
+    }
+    project_ = pack(project.data(), n, l);
+    expand_ = pack(expand.data(), l, n);
+  }
+}
+
+Network::Packed Network::pack(const float* data, Index k, Index n) const {
+  Packed p{k, n, {}, {}};
+  const auto rows = static_cast<std::size_t>(k), columns = static_cast<std::size_t>(n);
+  p.forward.resize(kernels_.packed_size(rows, columns));
+  p.backward.resize(kernels_.packed_size(columns, rows));
+  kernels_.pack(rows, columns, data, columns, 1, p.forward.data());
+  kernels_.pack(columns, rows, data, 1, columns, p.backward.data());
+  return p;
+}
+Network::Packed Network::pack(int weight) const {
+  const auto& w = layout_.weights[static_cast<std::size_t>(weight)];
+  return pack(weights_.data() + w.offset, w.rows, w.columns);
+}
+
+void Network::times(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc, const float* start,
+                    bool accumulate) const {
+  kernels_.gemm(static_cast<std::size_t>(m), static_cast<std::size_t>(b.k), static_cast<std::size_t>(b.n), a,
+                static_cast<std::size_t>(lda), b.forward.data(), c, static_cast<std::size_t>(ldc), start, accumulate);
+}
+void Network::times_transposed(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc,
+                               bool accumulate) const {
+  kernels_.gemm(static_cast<std::size_t>(m), static_cast<std::size_t>(b.n), static_cast<std::size_t>(b.k), a,
+                static_cast<std::size_t>(lda), b.backward.data(), c, static_cast<std::size_t>(ldc), nullptr,
+                accumulate);
+}
+
+void Network::normalise(Index rows, float* z, std::vector<float>& factor) const {
+  factor.assign(static_cast<std::size_t>(rows), 1.0f);
+  if (!norm_) return;
+  for (Index r = 0; r < rows; ++r) {
+    float* a = z + size_of(r, z_);
+    float sum = 1.0f;
+    for (Index i = norm_begin(); i < z_; ++i) sum += a[i] * a[i];
+    const float s = 1.0f / std::sqrt(sum);
+    for (Index i = norm_begin(); i < z_; ++i) a[i] *= s;
+    factor[static_cast<std::size_t>(r)] = s;
+  }
+}
+
+void Network::normalise_derivative(float* g, const float* b, float factor) const {
+  if (!norm_) return;
+  float dot = 0.0f;
+  for (Index i = norm_begin(); i < z_; ++i) dot += b[i] * g[i];
+  for (Index i = norm_begin(); i < z_; ++i) g[i] = factor * (g[i] - b[i] * dot);
+}
+
+Index Network::skip_of(Index layer) const {
+  // Skips of length 1 and 2; where several meet, only the longest is added (EM*D).
+  if (arch_.residual == 0 || layer == 0) return -1;
+  return std::max<Index>(layer - arch_.residual, 0);
+}
+
+void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma) const {
+  const Index n = dim_.coordinates(), rows = block.rows, hidden = arch_.hidden, u = dim_.inputs(),
+              total = block.total();
+  const Index most = rows == 0 ? 0 : block.steps.front();
+  tape.running.clear();
+  tape.offset.assign(1, 0);
+  for (Index j = 0; j < most; ++j) {
+    tape.running.push_back(block.running(j));
+    tape.offset.push_back(tape.offset.back() + tape.running.back());
+  }
+
+  // Encoder.
+  tape.encoder_pre.resize(size_of(rows, arch_.encoder_hidden));
+  times(encoder_shape_, rows, block.shape.data(), n, tape.encoder_pre.data(), arch_.encoder_hidden,
+        bias(layout_.encoder_bias), false);
+  if (arch_.previous_shape) {
+    std::vector<float> velocity(size_of(rows, arch_.latent));
+    times(project_, rows, block.change.data(), n, velocity.data(), arch_.latent, nullptr, false);
+    for (float& v : velocity) v *= kVelocityGain;
+    times(encoder_velocity_, rows, velocity.data(), arch_.latent, tape.encoder_pre.data(), arch_.encoder_hidden,
+          nullptr, true);
+  }
+  std::vector<float> work(tape.encoder_pre.size());
+  kernels_.activate(work.size(), tape.encoder_pre.data(), work.data(), tanh());
+  tape.z.resize(static_cast<std::size_t>(most) + 1);
+  tape.norm.resize(static_cast<std::size_t>(most) + 1);
+  tape.z[0].resize(size_of(rows, z_));
+  times(encoder_out_, rows, work.data(), arch_.encoder_hidden, tape.z[0].data(), z_, bias(layout_.encoder_out_bias),
+        false);
+  if (arch_.pca_skip) times(project_, rows, block.shape.data(), n, tape.z[0].data(), z_, nullptr, true);
+  normalise(rows, tape.z[0].data(), tape.norm[0]);
+
+  // Prediction module. What the inputs contribute to each layer is independent of the state: one product for all
+  // segments.
+  const auto layers = layer_h_.size();
+  tape.pre.resize(layers);
+  tape.post.resize(layers);
+  for (std::size_t l = 0; l < layers; ++l) {
+    tape.pre[l].resize(size_of(total, hidden));
+    tape.post[l].resize(size_of(total, hidden));
+    const float* b = bias(layout_.layers[l].b);
+    if (layout_.layers[l].u >= 0) {
+      times(layer_u_[l], total, block.inputs.data(), u, tape.pre[l].data(), hidden, b, false);
+    } else {
+      for (Index i = 0; i < total; ++i) std::copy(b, b + hidden, tape.pre[l].data() + size_of(i, hidden));
+    }
+  }
+  std::vector<float> update(size_of(total, z_));
+  if (layout_.out.u >= 0) {
+    times(out_u_, total, block.inputs.data(), u, update.data(), z_, bias(layout_.out.b), false);
+  } else {
+    for (Index i = 0; i < total; ++i) std::copy_n(bias(layout_.out.b), z_, update.data() + size_of(i, z_));
+  }
+  for (Index j = 0; j < most; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    const Index m = tape.running[at];
+    const std::size_t first = size_of(tape.offset[at], hidden);
+    const std::size_t count = size_of(m, hidden);
+    const float* below = tape.z[at].data();
+    Index below_size = z_;
+    for (std::size_t l = 0; l < layers; ++l) {
+      float* pre = tape.pre[l].data() + first;
+      float* post = tape.post[l].data() + first;
+      times(layer_h_[l], m, below, below_size, pre, hidden, nullptr, true);
+      kernels_.activate(count, pre, post, tanh());
+      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0)
+        add(post, tape.post[static_cast<std::size_t>(skip)].data() + first, count);
+      below = post;
+      below_size = hidden;
+    }
+    float* dz = update.data() + size_of(tape.offset[at], z_);
+    times(out_h_, m, below, hidden, dz, z_, nullptr, true);
+    auto& next = tape.z[at + 1];
+    next.assign(dz, dz + size_of(m, z_));
+    if (arch_.differential_latent) add(next.data(), tape.z[at].data(), next.size());
+    normalise(m, next.data(), tape.norm[at + 1]);
+  }
+
+  // Decoder.
+  const auto wanted = static_cast<Index>(block.wanted.size());
+  const Index width = arch_.decoder_hidden;
+  std::vector<float> z(size_of(wanted, z_));
+  for (Index w = 0; w < wanted; ++w) {
+    const auto& one = block.wanted[static_cast<std::size_t>(w)];
+    std::copy_n(tape.z[static_cast<std::size_t>(one.step)].data() + size_of(one.row, z_), z_,
+                z.data() + size_of(w, z_));
+  }
+  tape.decoder_pre.resize(size_of(wanted, width));
+  times(decoder_in_, wanted, z.data(), z_, tape.decoder_pre.data(), width, bias(layout_.decoder_bias), false);
+  std::vector<float> features(tape.decoder_pre.size());
+  kernels_.activate(features.size(), tape.decoder_pre.data(), features.data(), tanh());
+  if (sigma != nullptr) {
+    times(sigma_, wanted, features.data(), width, sigma, n, bias(layout_.sigma_bias), false);
+    const std::size_t count = size_of(wanted, n);
+    tape.sigma_exp.resize(count);
+    for (std::size_t i = 0; i < count; ++i) sigma[i] = std::min(sigma[i], kLargestLogSigma);
+    kernels_.exponential(count, sigma, tape.sigma_exp.data());
+    for (std::size_t i = 0; i < count; ++i) {
+      const bool at_end = !(sigma[i] < kLargestLogSigma);
+      sigma[i] = floor_ + tape.sigma_exp[i];
+      if (at_end) tape.sigma_exp[i] = 0.0f;
+    }
+  } else {
+    tape.sigma_exp.clear();
+  }
+  if (arch_.differential_decoding) {
+    tape.start_pre.resize(size_of(rows, width));
+    times(decoder_in_, rows, tape.z[0].data(), z_, tape.start_pre.data(), width, bias(layout_.decoder_bias), false);
+    std::vector<float> start(tape.start_pre.size());
+    kernels_.activate(start.size(), tape.start_pre.data(), start.data(), tanh());
+    for (Index w = 0; w < wanted; ++w) {
+      const Index row = block.wanted[static_cast<std::size_t>(w)].row;
+      for (Index i = 0; i < width; ++i)
+        features[size_of(w, width) + static_cast<std::size_t>(i)] -=
+            start[size_of(row, width) + static_cast<std::size_t>(i)];
+      for (Index i = 0; i < z_; ++i)
+        z[size_of(w, z_) + static_cast<std::size_t>(i)] -= tape.z[0][size_of(row, z_) + static_cast<std::size_t>(i)];
+      std::copy_n(block.shape.data() + size_of(row, n), n, mean + size_of(w, n));
+    }
+    times(mean_, wanted, features.data(), width, mean, n, nullptr, true);
+  } else {
+    times(mean_, wanted, features.data(), width, mean, n, bias(layout_.mean_bias), false);
+  }
+  if (arch_.pca_skip) times(expand_, wanted, z.data(), z_, mean, n, nullptr, true);
+}
+
+void Network::pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma, float* d_inputs,
+                       float* d_shape, float* d_change) const {
+  const Index n = dim_.coordinates(), rows = block.rows, hidden = arch_.hidden, u = dim_.inputs(),
+              total = block.total();
+  const auto most = static_cast<Index>(tape.running.size());
+  const auto wanted = static_cast<Index>(block.wanted.size());
+  const Index width = arch_.decoder_hidden;
+  std::vector<std::vector<float>> dz(static_cast<std::size_t>(most) + 1);
+  for (std::size_t j = 0; j < dz.size(); ++j) dz[j].assign(tape.z[j].size(), 0.0f);
+  if (d_shape != nullptr) std::fill_n(d_shape, size_of(rows, n), 0.0f);
+
+  // Decoder.
+  std::vector<float> d_features(size_of(wanted, width), 0.0f),
+      d_start(arch_.differential_decoding ? size_of(rows, width) : 0, 0.0f);
+  std::vector<float> d_code(size_of(wanted, z_), 0.0f);
+  if (d_mean != nullptr) {
+    times_transposed(mean_, wanted, d_mean, n, d_features.data(), width, false);
+    if (arch_.pca_skip) times_transposed(expand_, wanted, d_mean, n, d_code.data(), z_, false);
+    if (arch_.differential_decoding) {
+      for (Index w = 0; w < wanted; ++w) {
+        const Index row = block.wanted[static_cast<std::size_t>(w)].row;
+        for (Index i = 0; i < width; ++i)
+          d_start[size_of(row, width) + static_cast<std::size_t>(i)] -=
+              d_features[size_of(w, width) + static_cast<std::size_t>(i)];
+        for (Index i = 0; i < z_; ++i)
+          dz[0][size_of(row, z_) + static_cast<std::size_t>(i)] -= d_code[size_of(w, z_) + static_cast<std::size_t>(i)];
+        if (d_shape != nullptr) add(d_shape + size_of(row, n), d_mean + size_of(w, n), static_cast<std::size_t>(n));
+      }
+      kernels_.activate_pullback(d_start.size(), tape.start_pre.data(), d_start.data(), tanh());
+      times_transposed(decoder_in_, rows, d_start.data(), width, dz[0].data(), z_, true);
+    }
+  }
+  if (d_sigma != nullptr) {
+    std::vector<float> d_log(size_of(wanted, n));
+    for (std::size_t i = 0; i < d_log.size(); ++i) d_log[i] = d_sigma[i] * tape.sigma_exp[i];
+    times_transposed(sigma_, wanted, d_log.data(), n, d_features.data(), width, true);
+  }
+  kernels_.activate_pullback(d_features.size(), tape.decoder_pre.data(), d_features.data(), tanh());
+  times_transposed(decoder_in_, wanted, d_features.data(), width, d_code.data(), z_, true);
+  for (Index w = 0; w < wanted; ++w) {
+    const auto& one = block.wanted[static_cast<std::size_t>(w)];
+    add(dz[static_cast<std::size_t>(one.step)].data() + size_of(one.row, z_), d_code.data() + size_of(w, z_),
+        static_cast<std::size_t>(z_));
+  }
+
+  // Prediction module, last segment first.
+  const auto layers = layer_h_.size();
+  std::vector<std::vector<float>> d_pre(layers, std::vector<float>(size_of(total, hidden)));
+  std::vector<float> d_update(size_of(total, z_));
+  for (Index j = most - 1; j >= 0; --j) {
+    const auto at = static_cast<std::size_t>(j);
+    const Index m = tape.running[at];
+    const std::size_t first = size_of(tape.offset[at], hidden), count = size_of(m, hidden);
+    float* g = dz[at + 1].data();
+    for (Index r = 0; r < m; ++r)
+      normalise_derivative(g + size_of(r, z_), tape.z[at + 1].data() + size_of(r, z_),
+                           tape.norm[at + 1][static_cast<std::size_t>(r)]);
+    std::copy_n(g, size_of(m, z_), d_update.data() + size_of(tape.offset[at], z_));
+    if (arch_.differential_latent) add(dz[at].data(), g, size_of(m, z_));
+    for (auto& d : d_pre) std::fill_n(d.data() + first, count, 0.0f);
+    times_transposed(out_h_, m, g, z_, d_pre[layers - 1].data() + first, hidden, true);
+    for (std::size_t l = layers; l-- > 0;) {
+      float* d = d_pre[l].data() + first;  // so far: the cotangent of the layer's output
+      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0)
+        add(d_pre[static_cast<std::size_t>(skip)].data() + first, d, count);
+      kernels_.activate_pullback(count, tape.pre[l].data() + first, d, tanh());
+      if (l > 0) {
+        times_transposed(layer_h_[l], m, d, hidden, d_pre[l - 1].data() + first, hidden, true);
+      } else {
+        times_transposed(layer_h_[0], m, d, hidden, dz[at].data(), z_, true);
+      }
+    }
+  }
+  std::fill_n(d_inputs, size_of(total, u), 0.0f);
+  for (std::size_t l = 0; l < layers; ++l) {
+    if (layout_.layers[l].u >= 0) times_transposed(layer_u_[l], total, d_pre[l].data(), hidden, d_inputs, u, true);
+  }
+  if (layout_.out.u >= 0) times_transposed(out_u_, total, d_update.data(), z_, d_inputs, u, true);
+  if (d_shape == nullptr) return;
+
+  // Encoder.
+  float* g = dz[0].data();
+  for (Index r = 0; r < rows; ++r)
+    normalise_derivative(g + size_of(r, z_), tape.z[0].data() + size_of(r, z_),
+                         tape.norm[0][static_cast<std::size_t>(r)]);
+  if (arch_.pca_skip) times_transposed(project_, rows, g, z_, d_shape, n, true);
+  std::vector<float> d_hidden(size_of(rows, arch_.encoder_hidden));
+  times_transposed(encoder_out_, rows, g, z_, d_hidden.data(), arch_.encoder_hidden, false);
+  kernels_.activate_pullback(d_hidden.size(), tape.encoder_pre.data(), d_hidden.data(), tanh());
+  times_transposed(encoder_shape_, rows, d_hidden.data(), arch_.encoder_hidden, d_shape, n, true);
+  if (!arch_.previous_shape) {
+    std::fill_n(d_change, size_of(rows, n), 0.0f);
+    return;
+  }
+  std::vector<float> d_velocity(size_of(rows, arch_.latent));
+  times_transposed(encoder_velocity_, rows, d_hidden.data(), arch_.encoder_hidden, d_velocity.data(), arch_.latent,
+                   false);
+  for (float& v : d_velocity) v *= kVelocityGain;
+  times_transposed(project_, rows, d_velocity.data(), arch_.latent, d_change, n, false);
+}
+
+void Network::tangent(const Block& block, const Tape& tape, const std::vector<Index>& base, const float* d_inputs,
+                      float* d_mean, float* d_sigma) const {
+  const Index n = dim_.coordinates(), hidden = arch_.hidden, u = dim_.inputs();
+  const auto directions = static_cast<Index>(base.size());
+  const auto most = static_cast<Index>(tape.running.size());
+  const auto layers = layer_h_.size();
+  // Directions of rows that still run come first, since rows are ordered by descending steps and base ascends.
+  std::vector<float> z(size_of(directions, z_), 0.0f);
+  std::vector<std::vector<float>> history{z};
+  std::vector<float> slope(size_of(directions, hidden));
+  std::vector<std::vector<float>> post(layers, slope);
+  Index offset = 0;
+  for (Index j = 0; j < most; ++j) {
+    const auto at = static_cast<std::size_t>(j);
+    const auto m = static_cast<Index>(std::lower_bound(base.begin(), base.end(), tape.running[at]) - base.begin());
+    const float* inputs = d_inputs + size_of(offset, u);
+    const float* below = z.data();
+    Index below_size = z_;
+    const std::size_t count = size_of(m, hidden);
+    for (std::size_t l = 0; l < layers; ++l) {
+      float* d = post[l].data();
+      std::fill_n(d, count, 0.0f);
+      if (layout_.layers[l].u >= 0) times(layer_u_[l], m, inputs, u, d, hidden, nullptr, false);
+      times(layer_h_[l], m, below, below_size, d, hidden, nullptr, true);
+      for (Index t = 0; t < m; ++t) {
+        std::copy_n(tape.pre[l].data() + size_of(tape.offset[at] + base[static_cast<std::size_t>(t)], hidden), hidden,
+                    slope.data() + size_of(t, hidden));
+      }
+      kernels_.activate_pullback(count, slope.data(), d, tanh());
+      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0)
+        add(d, post[static_cast<std::size_t>(skip)].data(), count);
+      below = d;
+      below_size = hidden;
+    }
+    std::vector<float> next(size_of(directions, z_), 0.0f);
+    if (layout_.out.u >= 0) times(out_u_, m, inputs, u, next.data(), z_, nullptr, false);
+    times(out_h_, m, below, hidden, next.data(), z_, nullptr, true);
+    if (arch_.differential_latent) add(next.data(), z.data(), size_of(m, z_));
+    for (Index t = 0; t < m; ++t) {
+      const Index row = base[static_cast<std::size_t>(t)];
+      normalise_derivative(next.data() + size_of(t, z_), tape.z[at + 1].data() + size_of(row, z_),
+                           tape.norm[at + 1][static_cast<std::size_t>(row)]);
+    }
+    z = std::move(next);
+    history.push_back(z);
+    offset += m;
+  }
+
+  std::vector<std::vector<Index>> of_row(static_cast<std::size_t>(block.rows));
+  for (std::size_t w = 0; w < block.wanted.size(); ++w)
+    of_row[static_cast<std::size_t>(block.wanted[w].row)].push_back(static_cast<Index>(w));
+  std::vector<Index> source;
+  std::vector<float> code;
+  for (Index t = 0; t < directions; ++t) {
+    for (const Index w : of_row[static_cast<std::size_t>(base[static_cast<std::size_t>(t)])]) {
+      source.push_back(w);
+      const float* from =
+          history[static_cast<std::size_t>(block.wanted[static_cast<std::size_t>(w)].step)].data() + size_of(t, z_);
+      code.insert(code.end(), from, from + z_);
+    }
+  }
+  const auto count = static_cast<Index>(source.size());
+  const Index width = arch_.decoder_hidden;
+  std::vector<float> features(size_of(count, width)), pre(size_of(count, width));
+  times(decoder_in_, count, code.data(), z_, features.data(), width, nullptr, false);
+  for (Index i = 0; i < count; ++i) {
+    std::copy_n(tape.decoder_pre.data() + size_of(source[static_cast<std::size_t>(i)], width), width,
+                pre.data() + size_of(i, width));
+  }
+  kernels_.activate_pullback(features.size(), pre.data(), features.data(), tanh());
+  times(mean_, count, features.data(), width, d_mean, n, nullptr, false);
+  if (arch_.pca_skip) times(expand_, count, code.data(), z_, d_mean, n, nullptr, true);
+  if (d_sigma == nullptr) return;
+  times(sigma_, count, features.data(), width, d_sigma, n, nullptr, false);
+  for (Index i = 0; i < count; ++i) {
+    const float* e = tape.sigma_exp.data() + size_of(source[static_cast<std::size_t>(i)], n);
+    for (Index c = 0; c < n; ++c) d_sigma[size_of(i, n) + static_cast<std::size_t>(c)] *= e[c];
+  }
+}
+
+}  // namespace weft::emd

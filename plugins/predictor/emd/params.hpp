@@ -1,0 +1,135 @@
+#pragma once
+#include <string>
+
+#include "weft/params.hpp"
+
+namespace weft::emd {
+
+/// The network. Every piece that the EM*D papers name is a switch, so that each can be taken out and measured.
+struct Architecture {
+  std::int64_t latent = 192;
+  std::int64_t memory = 64;
+  std::int64_t hidden = 320;
+  std::int64_t layers = 5;
+  std::int64_t encoder_hidden = 256;
+  std::int64_t decoder_hidden = 320;
+  std::int64_t residual = 1;
+  bool repeat_inputs = true;
+  bool pca_skip = true;
+  double whitening = 0.5;
+  bool differential_latent = true;
+  std::string latent_normalisation = "memory";
+  bool differential_decoding = true;
+  bool previous_shape = true;
+  std::string activation = "silu";
+  double sigma_floor_m = 0.0002;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("latent", latent, range(1, 2048), "Size of the shape part of the latent state (PCA components with pca_skip).");
+    v("memory", memory, range(0, 2048), "Size of the memory part of the latent state.");
+    v("hidden", hidden, range(1, 4096), "Width of the prediction module's layers.");
+    v("layers", layers, range(1, 32), "Layers of the prediction module, before its linear read-out (paper: 5).");
+    v("encoder_hidden", encoder_hidden, range(1, 4096), "Width of the encoder's hidden layer.");
+    v("decoder_hidden", decoder_hidden, range(1, 4096), "Width of the decoder's hidden layer.");
+    v("residual", residual, range(0, 2), "Length of the skip connections between the module's layers; 0: none.");
+    v("repeat_inputs", repeat_inputs,
+      "Give control and knowledge to every layer of the module, not to the first alone.");
+    v("pca_skip", pca_skip, "Linear path around encoder and decoder on principal components of the shapes.");
+    v("whitening", whitening, range(0, 1),
+      "How far principal components are brought to one scale; 1: all to unit variance.");
+    v("differential_latent", differential_latent, "The module emits the change of the latent state, not the state.");
+    v("latent_normalisation", latent_normalisation, choice({"none", "memory", "all"}),
+      "Part of the latent state that a / sqrt(1 + |a|^2) is applied to after every segment.");
+    v("differential_decoding", differential_decoding,
+      "The decoder emits the change of the shape since the start, not the shape.");
+    v("previous_shape", previous_shape, "Use the shape one segment earlier, when there is one: it shows the velocity.");
+    v("activation", activation, choice({"silu", "tanh"}), "Nonlinearity of all hidden layers.");
+    v("sigma_floor_m", sigma_floor_m, range(1e-6, 0.01, "m"), "Sigma is at least that.");
+  }
+};
+
+/// How `weft train` fits it (section 3).
+struct Training {
+  std::string optimiser = "adam";
+  double rate = 1.5e-3;
+  double final_rate = 1e-5;
+  std::int64_t warmup = 200;
+  double weight_decay = 0.0;
+  double clip = 1.0;
+  std::int64_t votes = 4;
+  std::int64_t batch = 32;
+  std::int64_t iterations = 30000;
+  std::int64_t max_steps = 25;
+  std::int64_t decoded_steps = 6;
+  double start_share = 0.35;
+  double certain_share = 0.15;
+  double unknown_share = 0.1;
+  double beta = 0.0;
+  double average = 0.999;
+  std::int64_t evaluate_every = 500;
+  std::int64_t evaluation_cases = 400;
+  std::int64_t patience = 5;
+  std::int64_t stop_after = 40;
+  double time_limit_s = 0.0;
+  std::int64_t checkpoint_every = 1000;
+  std::int64_t max_examples = 0;
+  bool half_precision = true;
+  bool calibrate = true;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("optimiser", optimiser, choice({"adam", "signsgd"}), "Adam(W) with cosine decay, or SignSGD with majority vote.");
+    v("rate", rate, range(1e-8, 1), "Learning rate (after warm-up); SignSGD: the first one.");
+    v("final_rate", final_rate, range(0, 1), "Adam: rate at the end of the cosine decay.");
+    v("warmup", warmup, range(0, 1e9, "iterations"), "Adam: linear rise of the rate.");
+    v("weight_decay", weight_decay, range(0, 1), "Decoupled weight decay (AdamW).");
+    v("clip", clip, range(0, 1e6), "Largest norm of the gradient; 0: no limit.");
+    v("votes", votes, range(1, 256), "SignSGD: parts of the batch whose gradient signs vote.");
+    v("batch", batch, range(1, 4096), "Examples per iteration.");
+    v("iterations", iterations, range(1, 1e9), "Length of the training.");
+    v("max_steps", max_steps, range(1, 200, "segments"), "Longest sub-sequence that is unrolled.");
+    v("decoded_steps", decoded_steps, range(1, 200),
+      "Shapes per sub-sequence that enter the loss: the last one and others drawn at random.");
+    v("start_share", start_share, range(0, 1),
+      "Share of the sub-sequences that begin with the flat shape; the others begin anywhere.");
+    v("certain_share", certain_share, range(0, 1),
+      "Share of the examples given exact knowledge (w = 0) instead of eq. 3's.");
+    v("unknown_share", unknown_share, range(0, 1),
+      "Share of the examples given no knowledge, (0.5, 1): planning and estimation start there, eq. 3 almost never "
+      "goes.");
+    v("beta", beta, range(0, 1), "beta-NLL: each term is weighted by sigma^(2 beta); 0: the plain likelihood.");
+    v("average", average, range(0, 0.999999),
+      "Exponential moving average of the weights, which is what is evaluated and kept; 0: none.");
+    v("evaluate_every", evaluate_every, range(1, 1e9, "iterations"), "How often the validation loss is taken.");
+    v("evaluation_cases", evaluation_cases, range(1, 1e9), "Validation sub-sequences.");
+    v("patience", patience, range(1, 1e9, "evaluations"),
+      "SignSGD: halve the rate after that many without a new best.");
+    v("stop_after", stop_after, range(1, 1e9, "evaluations"), "Stop after that many without a new best.");
+    v("time_limit_s", time_limit_s, range(0, 1e9, "s"), "End training by then, the cosine decay with it; 0: no limit.");
+    v("checkpoint_every", checkpoint_every, range(1, 1e9, "iterations"), "How often the state is saved, for resuming.");
+    v("max_examples", max_examples, range(0, 1e9), "Train on the first n examples only (learning curves); 0: all.");
+    v("half_precision", half_precision, "Store the weights as 16-bit numbers.");
+    v("calibrate", calibrate, "Scale sigma, per number of segments, to the errors on the validation split.");
+  }
+};
+
+struct Params {
+  std::filesystem::path model;
+  std::string other_fabric = "refuse";
+  bool untrained = false;
+  Architecture architecture;
+  Training training;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("model", model, "Model file of `weft train`; not needed for training.");
+    v("other_fabric", other_fabric, choice({"refuse", "warn"}),
+      "What to do when the task's material space is not the one of the training data.");
+    v("untrained", untrained, "Without a model file, take random weights: for timing and for tests, not for planning.");
+    v.group("architecture", architecture, "The network, for training; a model file brings its own.");
+    v.group("training", training, "How it is fitted.");
+  }
+};
+
+}  // namespace weft::emd

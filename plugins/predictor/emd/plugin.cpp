@@ -1,0 +1,5 @@
+#include "weft/plugin.hpp"
+
+#include "emd.hpp"
+
+WEFT_PLUGIN(weft::Predictor, weft::emd::EmdPredictor, weft::emd::Params, "emd", "1.0.0")

@@ -1,0 +1,39 @@
+#pragma once
+#include "model.hpp"
+#include "weft/host.hpp"
+#include "weft/trainable.hpp"
+
+namespace weft::emd {
+
+/// One fit, handed to the training library (libweft_emd_training.so): everything it needs, nothing it keeps.
+struct FitJob {
+  const Dataset& dataset;
+  const Task& task;
+  const Architecture& architecture;
+  const Training& training;
+  const FitOptions& options;
+  const FitObserver& observer;
+  Host& host;
+  Model model;       ///< out: the best model
+  FitReport report;  ///< out
+};
+/// Exported as "weft_emd_fit". @throws what TrainablePredictor::fit throws.
+using FitFunction = void (*)(FitJob& job);
+
+/// Loss and gradients by autograd, for tests of the hand-written ones. All arrays as in Block (normalised).
+struct AutogradJob {
+  const Model& model;
+  const struct Block& block;
+  const float* d_mean;  ///< [wanted, coordinates]
+  const float* d_sigma;
+  std::vector<float> mean, sigma;                  ///< out
+  std::vector<float> d_inputs, d_shape, d_change;  ///< out: gradients of <d_mean, mean> + <d_sigma, sigma>
+};
+/// Exported as "weft_emd_autograd".
+using AutogradFunction = void (*)(AutogradJob& job);
+
+/// The training library's function, loading the library beside this plugin on first use. Never unloaded: libtorch does
+/// not survive it. @throws Unsupported when weft was built without libtorch.
+void* training_function(const char* name);
+
+}  // namespace weft::emd

@@ -1,0 +1,536 @@
+// The learned predictor: its products, its derivatives against autograd, its files, its training.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <fstream>
+#include <thread>
+
+#include "predictor/emd/emd.hpp"
+#include "predictor/emd/training.hpp"
+#include "trajectory/arc/arc.cpp"  // compiled in, as the predictor's objects are
+#include "unit/test_support.hpp"
+#include "weft/hdf5_file.hpp"
+
+namespace weft::emd {
+namespace {
+
+using test::Folder;
+using test::message_of;
+using ::testing::HasSubstr;
+
+class TestHost final : public Host {
+ public:
+  explicit TestHost(int threads = 2) : threads_(threads) {}
+  int threads() const override { return threads_; }
+  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
+    std::vector<std::thread> workers;
+    for (int t = 0; t < threads_; ++t) {
+      workers.emplace_back([&, t] {
+        for (std::int64_t i = t; i < count; i += threads_) body(i);
+      });
+    }
+    for (auto& worker : workers) worker.join();
+  }
+  bool cancelled() const override { return false; }
+  void log(LogLevel, const std::string& message) override { messages_ += message; }
+  std::uint64_t seed() const override { return 3; }
+  std::string messages_;
+
+ protected:
+  std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override { throw Error("makes nothing"); }
+
+ private:
+  int threads_;
+};
+
+Task patch_task(Index columns = 5) {
+  Task task;
+  Mesh mesh;
+  const Index rows = 4;
+  mesh.positions.resize(rows * columns, 3);
+  for (Index r = 0; r < rows; ++r)
+    for (Index c = 0; c < columns; ++c)
+      mesh.positions.row(r * columns + c) << 0.1 * static_cast<double>(c), 0.1 * static_cast<double>(r), 0.0;
+  mesh.faces.resize(2 * (rows - 1) * (columns - 1), 3);
+  Index f = 0;
+  for (Index r = 0; r + 1 < rows; ++r) {
+    for (Index c = 0; c + 1 < columns; ++c) {
+      const int at = static_cast<int>(r * columns + c), up = at + static_cast<int>(columns);
+      mesh.faces.row(f++) << at, at + 1, up;
+      mesh.faces.row(f++) << at + 1, up + 1, up;
+    }
+  }
+  task.garment = std::make_shared<const Garment>(make_garment(mesh, "patch"));
+  task.trajectory = std::make_shared<const arc::Arc>(arc::Params{});
+  task.manipulation.grasp_vertices = {0, (rows - 1) * columns};
+  task.manipulation.grasp_points.resize(2, 3);
+  task.manipulation.grasp_points.row(0) = mesh.positions.row(0);
+  task.manipulation.grasp_points.row(1) = mesh.positions.row((rows - 1) * columns);
+  task.manipulation.displacement = {0.4, 0.0};
+  task.material.ranges = {{{0.2, 0.9, false}, {0.5, 2.0, true}, {0.5, 2.0, true}, {0.001, 0.002, false}}};
+  return task;
+}
+
+Architecture small() {
+  Architecture a;
+  a.latent = 20;
+  a.memory = 7;
+  a.hidden = 33;
+  a.encoder_hidden = 21;
+  a.decoder_hidden = 26;
+  return a;
+}
+
+/// Cases of different lengths, starts and wishes.
+std::vector<PredictionCase> some_cases(const Task& task, std::size_t count, std::uint64_t seed) {
+  std::vector<PredictionCase> cases;
+  const auto variables = task.trajectory->controls();
+  for (std::size_t i = 0; i < count; ++i) {
+    RandomStream random(seed, i);
+    PredictionCase one;
+    Positions shape = task.garment->positions;
+    for (Index v = 0; v < shape.size(); ++v) shape.data()[v] += 0.01 * random.normal();
+    one.shape = std::make_shared<const Positions>(shape);
+    if (i % 3 == 1) {
+      for (Index v = 0; v < shape.size(); ++v) shape.data()[v] += 0.01 * random.normal();
+      one.previous = std::make_shared<const Positions>(shape);
+    }
+    one.state = task.trajectory->initial_state(task.manipulation);
+    one.state[0] += static_cast<double>(i % 4) * 30.0;
+    const auto k = static_cast<Index>(1 + random.below(9));
+    one.controls = task.trajectory->default_controls(k);
+    for (Index j = 0; j < k; ++j)
+      for (Index c = 0; c < one.controls.cols(); ++c)
+        one.controls(j, c) += 0.5 * variables[static_cast<std::size_t>(c)].scale * random.normal();
+    for (Index p = 0; p < 4; ++p) {
+      one.knowledge.centre[p] = random.uniform();
+      one.knowledge.width[p] = random.uniform();
+    }
+    for (Index j = 1; j <= k; ++j)
+      if (random.uniform() < 0.5 || j == k) one.segments.push_back(j);
+    cases.push_back(one);
+  }
+  return cases;
+}
+
+/// Folds that obey a simple rule: the grasped half follows the hands, the faster the stiffer; release flattens it.
+Dataset toy_dataset(const Task& task, std::int64_t count) {
+  Dataset data;
+  DataParams params;
+  params.validation_fraction = 0.15;
+  params.test_fraction = 0.15;
+  data.header = make_dataset_header(task, params, 1, ConfigNode::parse("{toy: 1}", "test"), "{}");
+  const auto variables = task.trajectory->controls();
+  for (std::int64_t i = 0; i < count; ++i) {
+    RandomStream random(9, static_cast<std::uint64_t>(i));
+    Example e;
+    e.index = i;
+    for (Index p = 0; p < 4; ++p) e.q[p] = random.uniform();
+    Controls controls = random_controls(*task.trajectory, 20, {}, random);
+    const Index u = task.trajectory->release_segment(task.manipulation,
+                                                     task.trajectory->initial_state(task.manipulation), controls);
+    e.controls = controls.topRows(u);
+    e.states.resize(u + 1, 5);
+    e.states.row(0) = task.trajectory->initial_state(task.manipulation).transpose();
+    e.states.bottomRows(u) =
+        task.trajectory->segment_states(task.manipulation, e.states.row(0).transpose(), e.controls);
+    e.targets.resize(u + 1, 6);
+    Positions shape = task.garment->positions;
+    for (Index j = 0; j <= u; ++j) {
+      const Positions targets = task.trajectory->targets(task.manipulation, e.states.row(j).transpose());
+      e.targets.row(j) = Eigen::Map<const Vector>(targets.data(), 6).transpose();
+      e.released = task.trajectory->released(e.states.row(j).transpose());
+      for (Index v = 0; v < shape.rows() && j > 0; ++v) {
+        const double share = std::max(0.0, 1.0 - task.garment->positions(v, 0) / 0.2) * (0.4 + 0.5 * e.q[1]);
+        const Eigen::RowVector3d hand = targets.colwise().mean();
+        Eigen::RowVector3d goal = hand;
+        goal[1] += task.garment->positions(v, 1) - 0.15;
+        shape.row(v) += share * (goal - shape.row(v));
+        if (e.released) shape(v, 2) = 0.002;
+      }
+      for (Index v = 0; v < shape.size(); ++v) e.shapes.push_back(static_cast<float>(shape.data()[v]));
+    }
+    e.settle.settled = true;
+    data.examples.push_back(std::move(e));
+  }
+  return data;
+}
+
+Training quick() {
+  Training t;
+  t.batch = 12;
+  t.iterations = 60;
+  t.evaluate_every = 20;
+  t.checkpoint_every = 20;
+  t.warmup = 5;
+  t.rate = 3e-3;
+  t.average = 0.9;
+  return t;
+}
+
+std::string bytes_of(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+
+TEST(EmdKernels, ProductsAgreeAndRowsDoNotDependOnOneAnother) {
+  for (const char* isa : {"v2", "v3", "v4"}) {
+    const Kernels* kernels = find_kernels(isa);
+    if (kernels == nullptr) continue;
+    RandomStream random(1);
+    for (const auto& [m, k, n] : {std::array<std::size_t, 3>{1, 5, 3}, {13, 37, 65}, {40, 64, 31}, {25, 3, 200}}) {
+      std::vector<float> a(m * k), b(k * n), bias(n), c(m * n), packed(kernels->packed_size(k, n));
+      for (auto* v : {&a, &b, &bias})
+        for (float& x : *v) x = static_cast<float>(random.normal());
+      kernels->pack(k, n, b.data(), n, 1, packed.data());
+      kernels->gemm(m, k, n, a.data(), k, packed.data(), c.data(), n, bias.data(), false);
+      for (std::size_t i = 0; i < m; ++i) {
+        for (std::size_t j = 0; j < n; ++j) {
+          double sum = static_cast<double>(bias[j]);
+          for (std::size_t l = 0; l < k; ++l)
+            sum += static_cast<double>(a[i * k + l]) * static_cast<double>(b[l * n + j]);
+          ASSERT_NEAR(c[i * n + j], sum, 1e-4) << isa;
+        }
+        std::vector<float> row(n);
+        kernels->gemm(1, k, n, a.data() + i * k, k, packed.data(), row.data(), n, bias.data(), false);
+        ASSERT_EQ(std::memcmp(row.data(), c.data() + i * n, n * sizeof(float)), 0) << isa;
+      }
+      // The transpose, accumulated.
+      std::vector<float> back(kernels->packed_size(n, k)), d(m * k, 1.0f);
+      kernels->pack(n, k, b.data(), 1, n, back.data());
+      kernels->gemm(m, n, k, c.data(), n, back.data(), d.data(), k, nullptr, true);
+      double sum = 1.0;
+      for (std::size_t j = 0; j < n; ++j) sum += static_cast<double>(c[j]) * static_cast<double>(b[j]);
+      EXPECT_NEAR(d[0], sum, 1e-3 * (1.0 + std::abs(sum)));
+    }
+    std::vector<float> x, y(401), slope(401, 1.0f);
+    for (int i = 0; i <= 400; ++i) x.push_back(0.1f * static_cast<float>(i - 200));
+    for (const bool use_tanh : {false, true}) {
+      kernels->activate(x.size(), x.data(), y.data(), use_tanh);
+      std::fill(slope.begin(), slope.end(), 1.0f);
+      kernels->activate_pullback(x.size(), x.data(), slope.data(), use_tanh);
+      for (std::size_t i = 0; i < x.size(); ++i) {
+        const double v = static_cast<double>(x[i]), s = 1.0 / (1.0 + std::exp(-v));
+        EXPECT_NEAR(y[i], use_tanh ? std::tanh(v) : v * s, 2e-6);
+        EXPECT_NEAR(slope[i], use_tanh ? 1.0 - std::tanh(v) * std::tanh(v) : s * (1.0 + v * (1.0 - s)), 2e-6);
+      }
+    }
+    kernels->exponential(x.size(), x.data(), y.data());
+    for (std::size_t i = 0; i < x.size(); ++i) EXPECT_NEAR(y[i] / std::exp(static_cast<double>(x[i])), 1.0, 5e-7);
+  }
+}
+
+/// Relative difference of two arrays.
+double difference(const std::vector<float>& a, const std::vector<float>& b) {
+  EXPECT_EQ(a.size(), b.size());
+  double error = 0.0, size = 1e-20;
+  for (std::size_t i = 0; i < std::min(a.size(), b.size()); ++i) {
+    error += std::pow(static_cast<double>(a[i]) - static_cast<double>(b[i]), 2);
+    size += std::pow(static_cast<double>(b[i]), 2);
+  }
+  return std::sqrt(error / size);
+}
+
+#if WEFT_HAS_TORCH
+TEST(EmdNetwork, AgreesWithAutogradForEverySwitch) {
+  const auto autograd = reinterpret_cast<AutogradFunction>(training_function("weft_emd_autograd"));
+  std::vector<Architecture> all(1, small());
+  const auto with = [&](auto change) {
+    all.push_back(small());
+    change(all.back());
+  };
+  with([](Architecture& a) { a.residual = 0; });
+  with([](Architecture& a) { a.residual = 2; });
+  with([](Architecture& a) { a.repeat_inputs = false; });
+  with([](Architecture& a) { a.pca_skip = false; });
+  with([](Architecture& a) { a.pca_skip = a.previous_shape = false; });
+  with([](Architecture& a) { a.differential_latent = false; });
+  with([](Architecture& a) { a.latent_normalisation = "none"; });
+  with([](Architecture& a) { a.latent_normalisation = "all"; });
+  with([](Architecture& a) { a.differential_decoding = false; });
+  with([](Architecture& a) { a.activation = "tanh"; });
+  with([](Architecture& a) { a.memory = 0; });
+  with([](Architecture& a) { a.layers = 1; });
+  const Task task = patch_task();
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    SCOPED_TRACE(i);
+    const Model model = untrained_model(all[i], task, 11);
+    const Index n = model.dimensions.coordinates();
+    Block block;
+    block.rows = 4;
+    block.steps = {6, 4, 4, 1};
+    block.wanted = {{0, 2}, {0, 6}, {1, 4}, {2, 1}, {3, 1}};
+    RandomStream random(5);
+    const auto fill = [&](std::vector<float>& v, Index size, double scale) {
+      v.resize(static_cast<std::size_t>(size));
+      for (float& x : v) x = static_cast<float>(scale * random.normal());
+    };
+    fill(block.shape, 4 * n, 0.5);
+    fill(block.change, 4 * n, 0.2);
+    fill(block.inputs, block.total() * model.dimensions.inputs(), 1.0);
+    std::vector<float> mean(5 * static_cast<std::size_t>(n)), sigma(mean.size()), d_mean, d_sigma;
+    fill(d_mean, 5 * n, 1.0);
+    fill(d_sigma, 5 * n, 1.0);
+    AutogradJob job{model, block, d_mean.data(), d_sigma.data(), {}, {}, {}, {}, {}};
+    autograd(job);
+    const Network network(model, kernels());
+    Network::Tape tape;
+    network.forward(block, tape, mean.data(), sigma.data());
+    EXPECT_LT(difference(mean, job.mean), 1e-5);
+    EXPECT_LT(difference(sigma, job.sigma), 1e-5);
+    std::vector<float> d_inputs(block.inputs.size()), d_shape(block.shape.size()), d_change(block.shape.size());
+    network.pullback(block, tape, d_mean.data(), d_sigma.data(), d_inputs.data(), d_shape.data(), d_change.data());
+    // Sums in another order, in single precision; a term left out is of the order of 1.
+    EXPECT_LT(difference(d_inputs, job.d_inputs), 5e-5);
+    EXPECT_LT(difference(d_shape, job.d_shape), 5e-5);
+    EXPECT_LT(difference(d_change, job.d_change), 5e-5);
+
+    // The tangent map is the transpose: <d, J t> = <J^T d, t>.
+    std::vector<float> t_inputs, t_mean(mean.size()), t_sigma(mean.size());
+    fill(t_inputs, block.total() * model.dimensions.inputs(), 1.0);
+    network.tangent(block, tape, {0, 1, 2, 3}, t_inputs.data(), t_mean.data(), t_sigma.data());
+    double left = 0.0, right = 0.0, size = 0.0;
+    for (std::size_t k = 0; k < mean.size(); ++k) {
+      left += static_cast<double>(d_mean[k]) * static_cast<double>(t_mean[k]) +
+              static_cast<double>(d_sigma[k]) * static_cast<double>(t_sigma[k]);
+      size += std::abs(static_cast<double>(d_mean[k]) * static_cast<double>(t_mean[k]));
+    }
+    for (std::size_t k = 0; k < d_inputs.size(); ++k)
+      right += static_cast<double>(d_inputs[k]) * static_cast<double>(t_inputs[k]);
+    EXPECT_NEAR(left, right, 1e-5 * size);
+  }
+}
+
+#endif  // WEFT_HAS_TORCH
+
+TEST(EmdPredictor, ACaseIsTheSameWhateverElseIsInTheBatch) {
+  const Task task = patch_task();
+  Params params;
+  params.untrained = true;
+  params.architecture = small();
+  TestHost one(1), three(3);
+  EmdPredictor predictor(params, three), alone(params, one);
+  predictor.bind(task);
+  alone.bind(task);
+  const auto cases = some_cases(task, 43, 1);
+  const auto batch = predictor.predict(cases, {.gradients = true});
+  std::vector<std::vector<ShapeCotangent>> ones;
+  for (const auto& c : cases)
+    ones.emplace_back(c.segments.size(), ShapeCotangent{Positions::Ones(20, 3), Positions::Ones(20, 3)});
+  const auto gradients = batch->pullback(ones);
+  for (std::size_t i = 0; i < cases.size(); ++i) {
+    const auto single = alone.predict({cases[i]}, {.gradients = true});
+    for (std::size_t s = 0; s < cases[i].segments.size(); ++s) {
+      EXPECT_EQ(single->shapes()[0][s].mean, batch->shapes()[i][s].mean);
+      EXPECT_EQ(single->shapes()[0][s].sigma, batch->shapes()[i][s].sigma);
+    }
+    const auto g = single->pullback({ones[i]});
+    EXPECT_EQ(g[0].controls, gradients[i].controls);
+    EXPECT_EQ(g[0].centre, gradients[i].centre);
+    EXPECT_EQ(g[0].state, gradients[i].state);
+    EXPECT_EQ(g[0].shape, gradients[i].shape);
+  }
+}
+
+TEST(EmdPredictor, NeedsAModelAndRefusesOneOfAnotherTask) {
+  const Folder folder;
+  TestHost host;
+  const Task task = patch_task();
+  EmdPredictor without(Params{}, host);
+  EXPECT_THAT(message_of<ConfigError>([&] { without.bind(task); }), HasSubstr("needs a model file"));
+  EXPECT_THROW(without.predict({}, {}), Error);
+  save_model(folder / "m.h5", untrained_model(small(), task, 1), true);
+  Params params;
+  params.model = folder / "m.h5";
+  const auto refusal = [&](const Task& other) {
+    EmdPredictor predictor(params, host);
+    return message_of<ConfigError>([&] { predictor.bind(other); });
+  };
+  EXPECT_THAT(refusal(patch_task(6)), HasSubstr("trained for the garment 'patch'"));
+  Task other = task;
+  other.manipulation.displacement = {0.41, 0.0};
+  EXPECT_THAT(refusal(other), HasSubstr("displacement [0.400000, 0.000000], the task has [0.410000"));
+  other = task;
+  other.manipulation.drop_height = 0.06;
+  EXPECT_THAT(refusal(other), HasSubstr("drop height"));
+  other = task;
+  other.manipulation.grasp_vertices[0] = 1;
+  EXPECT_THAT(refusal(other), HasSubstr("grasp vertices"));
+  other = task;
+  other.material.ranges[0].high = 0.8;
+  EXPECT_THAT(refusal(other), HasSubstr("another material space"));
+  params.other_fabric = "warn";
+  EmdPredictor warned(params, host);
+  warned.bind(other);
+  EXPECT_THAT(host.messages_, HasSubstr("another material space"));
+}
+
+TEST(EmdModel, ComesBackAsItWasAndDamageIsRefused) {
+  const Folder folder;
+  Model model = untrained_model(small(), patch_task(), 1);
+  model.training = "{\"a\":1}";
+  for (const bool half : {false, true}) {
+    save_model(folder / "m.h5", model, half);
+    const Model back = load_model(folder / "m.h5");
+    Model rounded = model;
+    if (half) {
+      for (float& w : rounded.weights) w = round_to_half(w);
+      for (float& w : rounded.basis) w = round_to_half(w);
+    }
+    EXPECT_EQ(back.weights, rounded.weights);
+    EXPECT_EQ(back.basis, rounded.basis);
+    EXPECT_EQ(back.control_names, model.control_names);
+    EXPECT_EQ(back.material, model.material);
+    EXPECT_EQ(back.training, model.training);
+    save_model(folder / "again.h5", back, half);
+    EXPECT_EQ(bytes_of(folder / "m.h5"), bytes_of(folder / "again.h5"));
+  }
+  EXPECT_NEAR(round_to_half(0.1f), 0.1f, 3e-5f);
+  EXPECT_EQ(round_to_half(1e6f), 65504.0f);
+
+  const std::string good = bytes_of(folder / "m.h5");
+  RandomStream random(2);
+  int refused = 0;
+  for (int trial = 0; trial < 150; ++trial) {
+    std::string bad = good;
+    if (trial % 3 == 0) {
+      bad.resize(random.below(bad.size()));
+    } else {
+      for (int k = 0; k < 2; ++k) bad[random.below(bad.size())] ^= static_cast<char>(1 + random.below(255));
+    }
+    std::ofstream(folder / "bad.h5", std::ios::binary) << bad;
+    try {
+      EXPECT_EQ(load_model(folder / "bad.h5").weights, load_model(folder / "m.h5").weights);
+    } catch (const Error&) {
+      ++refused;
+    }
+  }
+  EXPECT_GT(refused, 60);
+}
+
+TEST(EmdModel, HostileContentIsRefusedWithTheReason) {
+  const Folder folder;
+  const Task task = patch_task();
+  const auto refusal = [&](auto change) {
+    Model model = untrained_model(small(), task, 1);
+    change(model);
+    save_model(folder / "m.h5", model, false);
+    return message_of<ConfigError>([&] { load_model(folder / "m.h5"); });
+  };
+  EXPECT_THAT(refusal([](Model& m) { m.weights[7] = std::nanf(""); }), HasSubstr("not finite"));
+  EXPECT_THAT(refusal([](Model& m) { m.scale[0] = 0.0f; }), HasSubstr("/normalisation/scale must be positive"));
+  EXPECT_THAT(refusal([](Model& m) { m.input_sd[0] = -1.0f; }), HasSubstr("input_sd"));
+  EXPECT_THAT(refusal([](Model& m) { m.calibration = {-1.0f}; }), HasSubstr("/calibration"));
+  EXPECT_THAT(refusal([](Model& m) { m.control_names.pop_back(); }), HasSubstr("/trajectory/controls"));
+  EXPECT_THAT(refusal([](Model& m) { m.input_mean.pop_back(); }), HasSubstr("/normalisation/input_mean has a shape"));
+  auto file = Hdf5File::create(folder / "other.h5");
+  file.write("/schema", std::string("weft session 1"));
+  file.commit();
+  EXPECT_THAT(message_of<ConfigError>([&] { load_model(folder / "other.h5"); }), HasSubstr("has the schema"));
+}
+
+#if WEFT_HAS_TORCH
+TEST(EmdTraining, LearnsAndASecondRunGivesTheSameBits) {
+  const Folder folder;
+  const Task task = patch_task();
+  const Dataset data = toy_dataset(task, 60);
+  TestHost host(1);
+  Params params;
+  params.architecture = small();
+  params.training = quick();
+  params.training.iterations = 200;
+  std::vector<double> losses;
+  const auto fit = [&](const std::string& name) {
+    EmdPredictor predictor(params, host);
+    return predictor.trainable()->fit(data, task, {.seed = 4, .model = folder / name}, [&](const FitProgress& p) {
+      losses.push_back(p.validation_loss);
+      return true;
+    });
+  };
+  const FitReport report = fit("a.h5");
+  EXPECT_TRUE(report.finished);
+  EXPECT_EQ(report.iterations, 200);
+  EXPECT_LT(losses.back(), losses.front() - 0.5);
+  fit("b.h5");
+  EXPECT_EQ(bytes_of(folder / "a.h5"), bytes_of(folder / "b.h5"));
+
+  // What it learned is worth something: better than the shape it starts from.
+  params.model = folder / "a.h5";
+  EmdPredictor predictor(params, host);
+  predictor.bind(task);
+  double error = 0.0, still = 0.0;
+  for (const auto i : data.select(Split::test)) {
+    const auto& e = data.examples[i];
+    PredictionCase one;
+    one.shape = std::make_shared<const Positions>(data.shape(i, 0));
+    one.state = e.states.row(0).transpose();
+    one.controls = e.controls;
+    one.knowledge = MaterialKnowledge::certain(e.q);
+    one.segments = {e.segments()};
+    const Positions truth = data.shape(i, e.segments());
+    error += mean_distance_mm(predictor.predict({one}, {})->shapes()[0][0].mean, truth);
+    still += mean_distance_mm(*one.shape, truth);
+  }
+  EXPECT_LT(error, 0.4 * still);
+}
+
+TEST(EmdTraining, AStoppedFitGoesOnToTheSameBits) {
+  const Folder folder;
+  const Task task = patch_task();
+  const Dataset data = toy_dataset(task, 40);
+  TestHost host(1);
+  for (const char* optimiser : {"adam", "signsgd"}) {
+    Params params;
+    params.architecture = small();
+    params.training = quick();
+    params.training.optimiser = optimiser;
+    if (params.training.optimiser == "signsgd") params.training.rate = 1e-3;
+    const auto fit = [&](const std::string& name, std::int64_t stop_at) {
+      EmdPredictor predictor(params, host);
+      FitOptions options{.seed = 4, .model = folder / (name + ".h5"), .checkpoint = folder / (name + ".checkpoint.h5")};
+      return predictor.fit(data, task, options, [&](const FitProgress& p) { return p.iteration < stop_at; });
+    };
+    fit("whole", 1000);
+    const FitReport first = fit("parts", 20);
+    EXPECT_FALSE(first.finished);
+    EXPECT_EQ(first.iterations, 20);
+    const FitReport second = fit("parts", 1000);
+    EXPECT_TRUE(second.finished);
+    EXPECT_TRUE(second.resumed);
+    EXPECT_EQ(bytes_of(folder / "whole.h5"), bytes_of(folder / "parts.h5")) << optimiser;
+    EXPECT_FALSE(std::filesystem::exists(folder / "parts.checkpoint.h5"));
+
+    fit("other", 20);
+    params.training.rate *= 2;
+    EXPECT_THAT(message_of<ConfigError>([&] { fit("other", 1000); }),
+                HasSubstr("belongs to a fit with other settings"));
+    std::filesystem::remove(folder / "other.checkpoint.h5");
+  }
+}
+
+TEST(EmdTraining, RefusesDataThatDoNotDo) {
+  const Task task = patch_task();
+  TestHost host(1);
+  Params params;
+  params.training = quick();
+  EmdPredictor predictor(params, host);
+  const Dataset data = toy_dataset(task, 40);
+  EXPECT_THAT(message_of<ConfigError>([&] { predictor.fit(data, task, {}, {}); }),
+              HasSubstr("architecture.latent = 192"));
+  Dataset none = data;
+  none.examples.clear();
+  EXPECT_THAT(message_of<ConfigError>([&] { predictor.fit(none, task, {}, {}); }), HasSubstr("train split"));
+}
+#else
+TEST(EmdTraining, SaysWhatIsMissing) {
+  EXPECT_THAT(message_of<Unsupported>([] { training_function("weft_emd_fit"); }), HasSubstr("without libtorch"));
+}
+#endif
+
+}  // namespace
+}  // namespace weft::emd
