@@ -1,0 +1,388 @@
+#include "torchscript.hpp"
+
+#include <ATen/ATen.h>
+#include <ATen/Parallel.h>
+#include <torch/csrc/autograd/autograd.h>
+#include <torch/csrc/jit/api/module.h>
+#include <torch/csrc/jit/serialization/import.h>
+
+#include <algorithm>
+#include <map>
+
+namespace weft::torchscript {
+
+using at::Tensor;
+
+struct TorchScriptPredictor::Bound {
+  Task task;
+  Metadata metadata;
+  mutable torch::jit::Module module;
+  std::string name;
+};
+
+namespace {
+
+std::string list(const std::vector<std::int64_t>& sizes) {
+  std::string text;
+  for (const auto n : sizes) text += (text.empty() ? "" : ", ") + std::to_string(n);
+  return "[" + text + "]";
+}
+std::string join(const std::vector<std::string>& words) {
+  std::string text;
+  for (const auto& w : words) text += (text.empty() ? "" : " ") + w;
+  return text.empty() ? "nothing" : text;
+}
+
+struct Output {
+  Tensor mean, sigma;
+};
+
+/// @throws Error naming what the module gave and what it has to give.
+Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>& inputs) {
+  std::vector<c10::IValue> values(inputs.begin(), inputs.end());
+  c10::IValue result;
+  try {
+    result = bound.module.forward(values);
+  } catch (const std::exception& error) {  // libtorch's own, and what the module's code throws
+    const std::string text = error.what();
+    throw Error(bound.name + ": forward() failed: " + text.substr(0, 400));
+  }
+  const auto b = inputs[0].size(0), k = inputs[2].size(1), v = inputs[0].size(1);
+  const std::vector<std::int64_t> wanted = {b, k, v, 3};
+  const std::string must = ", must return (mean, sigma), float32 " + list(wanted);
+  if (!result.isTuple() || result.toTuple()->elements().size() != 2 || !result.toTuple()->elements()[0].isTensor() ||
+      !result.toTuple()->elements()[1].isTensor()) {
+    throw Error(bound.name + ": forward() returned " + result.tagKind() + must);
+  }
+  Output out{result.toTuple()->elements()[0].toTensor(), result.toTuple()->elements()[1].toTensor()};
+  for (const Tensor& t : {out.mean, out.sigma}) {
+    if (t.sizes() != at::IntArrayRef(wanted) || t.scalar_type() != at::kFloat) {
+      throw Error(bound.name + ": forward() returned " + std::string(at::toString(t.scalar_type())) + " " +
+                  list(t.sizes().vec()) + must);
+    }
+  }
+  return out;
+}
+
+/// Cases of one length in one pass.
+struct Group {
+  std::vector<std::size_t> cases;
+  std::vector<Tensor> inputs;
+  Output output;
+};
+
+class TorchPrediction final : public Prediction {
+ public:
+  TorchPrediction(std::shared_ptr<const TorchScriptPredictor::Bound> bound, const std::vector<PredictionCase>& cases,
+                  const PredictionRequest& request, bool batch)
+      : bound_(std::move(bound)), request_(request), shapes_(cases.size()), failures_(cases.size()) {
+    std::map<std::pair<Index, std::size_t>, Group> groups;
+    for (std::size_t i = 0; i < cases.size(); ++i) {
+      controls_.push_back(cases[i].controls);
+      start_.push_back(cases[i].state);
+      has_previous_.push_back(cases[i].previous != nullptr);
+      segments_.push_back(cases[i].segments);
+      if (!cases[i].segments.empty()) groups[{cases[i].segments.back(), batch ? 0 : i}].cases.push_back(i);
+    }
+    for (auto& [key, group] : groups) {
+      run(cases, group, key.first);
+      groups_.push_back(std::move(group));
+    }
+  }
+
+  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
+  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
+
+  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
+    if (!request_.gradients) throw Unsupported("torchscript: pullback needs a prediction made with gradients");
+    require_shape("torchscript: cotangent cases", static_cast<Index>(cotangents.size()),
+                  static_cast<Index>(shapes_.size()));
+    const Index v = bound_->task.garment->vertex_count();
+    std::vector<CaseGradient> gradients(shapes_.size());
+    for (std::size_t i = 0; i < gradients.size(); ++i) {
+      gradients[i].controls = Controls::Zero(controls_[i].rows(), controls_[i].cols());
+      gradients[i].state = Vector::Zero(start_[i].size());
+      gradients[i].shape = Positions::Zero(v, 3);
+      require_shape("torchscript: cotangents of a case", static_cast<Index>(cotangents[i].size()),
+                    static_cast<Index>(segments_[i].size()));
+      for (const auto& c : cotangents[i]) {
+        for (const auto* p : {&c.mean, &c.sigma})
+          if (p->rows() > 0) require_shape("torchscript: cotangent rows", p->rows(), v);
+      }
+    }
+    for (const auto& group : groups_) pull(group, cotangents, gradients);
+    for (auto& g : gradients) {
+      if (!request_.control_gradients) g.controls.setZero();
+      if (!request_.knowledge_gradients) g.centre = g.width = PropertyVector::Zero();
+    }
+    return gradients;
+  }
+
+ private:
+  void run(const std::vector<PredictionCase>& cases, Group& group, Index k) {
+    const auto& task = bound_->task;
+    const auto b = static_cast<std::int64_t>(group.cases.size());
+    const Index v = task.garment->vertex_count(), s = start_[group.cases[0]].size(),
+                c = controls_[group.cases[0]].cols();
+    const at::NoGradGuard no_graph;
+    const auto empty = [](std::vector<std::int64_t> sizes) {
+      return at::empty(sizes, at::TensorOptions().dtype(at::kFloat));
+    };
+    Tensor shape = empty({b, v, 3}), previous = empty({b, v, 3}), states = empty({b, k + 1, s}),
+           controls = empty({b, k, c}), knowledge = empty({b, 8});
+    const auto fill = [](Tensor& to, std::int64_t row, const double* from, Index count) {
+      float* at = to.data_ptr<float>() + row * to[0].numel();
+      std::transform(from, from + count, at, [](double x) { return static_cast<float>(x); });
+    };
+    for (std::int64_t r = 0; r < b; ++r) {
+      const auto& one = cases[group.cases[static_cast<std::size_t>(r)]];
+      fill(shape, r, one.shape->data(), one.shape->size());
+      fill(previous, r, (one.previous ? one.previous : one.shape)->data(), one.shape->size());
+      const Controls used = one.controls.topRows(k);
+      Controls all(k + 1, s);
+      all.row(0) = one.state.transpose();
+      all.bottomRows(k) = task.trajectory->segment_states(task.manipulation, one.state, used);
+      fill(states, r, all.data(), all.size());
+      fill(controls, r, used.data(), used.size());
+      Vector known(8);
+      known << one.knowledge.centre, one.knowledge.width;
+      fill(knowledge, r, known.data(), 8);
+    }
+    group.inputs = {shape, states, controls, knowledge};
+    if (bound_->metadata.previous) group.inputs.push_back(previous);
+    {
+      const at::AutoGradMode graph(request_.gradients);
+      if (request_.gradients) {
+        for (auto& t : group.inputs) t.set_requires_grad(true);
+      }
+      group.output = call(*bound_, group.inputs);
+    }
+    const Tensor mean = group.output.mean.detach().contiguous(), sigma = group.output.sigma.detach().contiguous();
+    for (std::int64_t r = 0; r < b; ++r) {
+      const std::size_t i = group.cases[static_cast<std::size_t>(r)];
+      for (const Index segment : segments_[i]) {
+        const auto read = [&](const Tensor& t) {
+          Positions p(v, 3);
+          const float* from = t.data_ptr<float>() + ((r * k) + segment - 1) * v * 3;
+          std::copy_n(from, p.size(), p.data());
+          return p;
+        };
+        ShapeDistribution one;
+        one.mean = read(mean);
+        one.sigma = request_.moments == Moments::mean_and_sigma ? read(sigma) : Positions(0, 3);
+        if (!one.mean.allFinite() || !one.sigma.allFinite() || (one.sigma.array() <= 0.0).any()) {
+          failures_[i] = bound_->name + ": the prediction after " + std::to_string(segment) +
+                         " segments is not finite, or its sigma is not positive";
+        }
+        shapes_[i].push_back(std::move(one));
+      }
+      if (!failures_[i].empty()) shapes_[i].clear();
+    }
+    if (!request_.gradients) group = {};
+  }
+
+  void pull(const Group& group, const std::vector<std::vector<ShapeCotangent>>& cotangents,
+            std::vector<CaseGradient>& gradients) const {
+    const auto& task = bound_->task;
+    const auto& trajectory = *task.trajectory;
+    Tensor d_mean = at::zeros_like(group.output.mean.detach()), d_sigma = at::zeros_like(d_mean);
+    const auto k = group.output.mean.size(1), size = d_mean.size(2) * 3;
+    for (std::size_t r = 0; r < group.cases.size(); ++r) {
+      const std::size_t i = group.cases[r];
+      if (!failures_[i].empty()) continue;
+      for (std::size_t s = 0; s < segments_[i].size(); ++s) {
+        const auto at = (static_cast<std::int64_t>(r) * k + segments_[i][s] - 1) * size;
+        const auto write = [&](const Positions& from, Tensor& to) {
+          std::transform(from.data(), from.data() + from.size(), to.data_ptr<float>() + at,
+                         [](double x) { return static_cast<float>(x); });
+        };
+        write(cotangents[i][s].mean, d_mean);
+        write(cotangents[i][s].sigma, d_sigma);
+      }
+    }
+    std::vector<Tensor> outputs, seeds;
+    for (const auto& [out, seed] : {std::pair(group.output.mean, d_mean), std::pair(group.output.sigma, d_sigma)}) {
+      if (!out.requires_grad()) continue;  // a constant sigma has no graph
+      outputs.push_back(out);
+      seeds.push_back(seed);
+    }
+    if (outputs.empty()) return;
+    const auto grads =
+        torch::autograd::grad(outputs, group.inputs, seeds, /*retain_graph=*/true, /*create_graph=*/false,
+                              /*allow_unused=*/true);
+    const auto row = [&](std::size_t input, std::size_t r) -> std::vector<double> {
+      if (input >= grads.size()) return {};
+      if (!grads[input].defined())
+        return std::vector<double>(static_cast<std::size_t>(group.inputs[input][0].numel()), 0.0);
+      const Tensor t = grads[input][static_cast<std::int64_t>(r)].to(at::kDouble).contiguous();
+      return {t.data_ptr<double>(), t.data_ptr<double>() + t.numel()};
+    };
+    for (std::size_t r = 0; r < group.cases.size(); ++r) {
+      const std::size_t i = group.cases[r];
+      if (!failures_[i].empty()) continue;
+      auto& g = gradients[i];
+      const auto d_shape = row(0, r), d_states = row(1, r), d_controls = row(2, r), d_knowledge = row(3, r),
+                 d_previous = row(4, r);
+      for (Index x = 0; x < g.shape.size(); ++x) {
+        g.shape.data()[x] = d_shape[static_cast<std::size_t>(x)];
+        // Without an earlier shape the module was given the start shape twice.
+        if (!d_previous.empty() && !has_previous_[i]) g.shape.data()[x] += d_previous[static_cast<std::size_t>(x)];
+      }
+      for (Index p = 0; p < 4; ++p) {
+        g.centre(p) = d_knowledge[static_cast<std::size_t>(p)];
+        g.width(p) = d_knowledge[static_cast<std::size_t>(p + 4)];
+      }
+      // Controls act directly and through the states after every segment.
+      const Index s = g.state.size(), c = g.controls.cols();
+      const Controls states = trajectory.segment_states(task.manipulation, start_[i], controls_[i].topRows(k));
+      Vector carried = Vector::Zero(s), d_state, d_control;
+      for (Index j = k - 1; j >= 0; --j) {
+        carried += Eigen::Map<const Vector>(d_states.data() + (j + 1) * s, s);
+        const Vector control = controls_[i].row(j).transpose();
+        std::vector<Vector> frames{j == 0 ? start_[i] : Vector(states.row(j - 1).transpose())};
+        for (Index f = 1; f < kFramesPerSegment; ++f)
+          frames.push_back(trajectory.advance(task.manipulation, frames.back(), control));
+        for (std::size_t f = frames.size(); f-- > 0;) {
+          trajectory.advance_pullback(task.manipulation, frames[f], control, carried, d_state, d_control);
+          g.controls.row(j) += d_control.transpose();
+          carried = d_state;
+        }
+        g.controls.row(j) += Eigen::Map<const Vector>(d_controls.data() + j * c, c).transpose();
+      }
+      g.state = carried + Eigen::Map<const Vector>(d_states.data(), s);
+    }
+  }
+
+  std::shared_ptr<const TorchScriptPredictor::Bound> bound_;
+  PredictionRequest request_;
+  std::vector<Controls> controls_;
+  std::vector<Vector> start_;
+  std::vector<bool> has_previous_;
+  std::vector<std::vector<Index>> segments_;
+  std::vector<Group> groups_;
+  std::vector<std::vector<ShapeDistribution>> shapes_;
+  std::vector<std::string> failures_;
+};
+
+}  // namespace
+
+TorchScriptPredictor::TorchScriptPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
+TorchScriptPredictor::~TorchScriptPredictor() = default;
+
+PredictorCapabilities TorchScriptPredictor::capabilities() const {
+  return {.gradients = true,
+          .state_gradients = true,
+          .shape_gradients = true,
+          .deterministic = !params_.batch,
+          .needs_binding = true};
+}
+
+void TorchScriptPredictor::bind(const Task& task) {
+  if (params_.module.empty()) throw ConfigError("torchscript: needs predictor.params.module, a file of torch.jit.save");
+  auto bound = std::make_shared<Bound>();
+  bound->task = task;
+  bound->name = params_.module.string();
+  auto metadata_file = params_.metadata;
+  if (metadata_file.empty()) metadata_file = std::filesystem::path(params_.module).replace_extension(".yaml");
+  auto& m = bound->metadata;
+  read_params(ConfigNode::load(metadata_file), m);
+
+  const auto refuse = [&](const std::string& what, const std::string& given, const std::string& wanted) {
+    throw ConfigError(metadata_file.string() + ": " + what + " = " + given + ", the task has " + wanted);
+  };
+  const auto names = [](const std::vector<Variable>& variables) {
+    std::vector<std::string> all;
+    for (const auto& v : variables) all.push_back(v.name);
+    return all;
+  };
+  const auto numbers = [](const std::vector<double>& v) {
+    std::string text;
+    for (const double x : v) text += (text.empty() ? "" : ", ") + std::to_string(x);
+    return "[" + text + "]";
+  };
+  const auto& manipulation = task.manipulation;
+  if (m.garment_hash != std::to_string(task.garment->hash))
+    refuse("garment_hash", m.garment_hash, std::to_string(task.garment->hash));
+  if (m.controls != names(task.trajectory->controls()))
+    refuse("controls", join(m.controls), join(names(task.trajectory->controls())));
+  if (m.states != names(task.trajectory->state()))
+    refuse("states", join(m.states), join(names(task.trajectory->state())));
+  const std::vector<double> held(manipulation.grasp_vertices.begin(), manipulation.grasp_vertices.end());
+  if (m.grasp_vertices != held) refuse("grasp_vertices", numbers(m.grasp_vertices), numbers(held));
+  const std::vector<double> d = {manipulation.displacement.x(), manipulation.displacement.y()};
+  if (m.displacement_m.size() != 2 || std::abs(m.displacement_m[0] - d[0]) > 1e-6 ||
+      std::abs(m.displacement_m[1] - d[1]) > 1e-6) {
+    refuse("displacement_m", numbers(m.displacement_m), numbers(d));
+  }
+  if (std::abs(m.drop_height_m - manipulation.drop_height) > 1e-6) {
+    refuse("drop_height_m", std::to_string(m.drop_height_m), std::to_string(manipulation.drop_height));
+  }
+
+  at::set_num_threads(params_.threads > 0 ? static_cast<int>(params_.threads) : std::max(1, host_.threads()));
+  try {
+    bound->module = torch::jit::load(params_.module.string(), at::kCPU);
+    bound->module.eval();
+    for (const auto& parameter : bound->module.parameters()) parameter.set_requires_grad(false);
+  } catch (const std::exception& error) {  // libtorch reports damaged files in many ways
+    const std::string text = error.what();
+    throw ConfigError(bound->name + ": is no TorchScript file, or is damaged: " + text.substr(0, 300));
+  }
+  const auto method = bound->module.find_method("forward");
+  const std::size_t wanted = m.previous ? 5 : 4;
+  if (!method) throw ConfigError(bound->name + ": has no forward()");
+  if (const std::size_t given = method->function().getSchema().arguments().size() - 1; given != wanted) {
+    throw ConfigError(bound->name + ": forward() takes " + std::to_string(given) + " arguments, must take " +
+                      std::to_string(wanted) + ": shape, states, controls, knowledge" +
+                      (m.previous ? ", previous" : ""));
+  }
+  // One call shows whether the shapes fit.
+  const auto zeros = [](std::vector<std::int64_t> sizes) {
+    return at::zeros(sizes, at::TensorOptions().dtype(at::kFloat));
+  };
+  const auto v = task.garment->vertex_count(), s = static_cast<Index>(m.states.size()),
+             c = static_cast<Index>(m.controls.size());
+  std::vector<Tensor> inputs = {zeros({2, v, 3}), zeros({2, 3, s}), zeros({2, 2, c}), zeros({2, 8})};
+  if (m.previous) inputs.push_back(zeros({2, v, 3}));
+  try {
+    const at::NoGradGuard no_graph;
+    call(*bound, inputs);
+  } catch (const Error& error) {
+    throw ConfigError(error.what());
+  }
+  bound_ = std::move(bound);
+}
+
+std::unique_ptr<Prediction> TorchScriptPredictor::predict(const std::vector<PredictionCase>& cases,
+                                                          const PredictionRequest& request) const {
+  if (!bound_) throw Error("torchscript: predict() before bind()");
+  const auto& m = bound_->metadata;
+  for (std::size_t i = 0; i < cases.size(); ++i) {
+    const auto& one = cases[i];
+    const std::string where = "torchscript: case " + std::to_string(i) + ": ";
+    const Index v = bound_->task.garment->vertex_count();
+    if (!one.shape) throw ShapeError(where + "has no shape");
+    require_shape(where + "shape rows", one.shape->rows(), v);
+    if (one.previous) require_shape(where + "previous rows", one.previous->rows(), v);
+    require_shape(where + "state", one.state.size(), static_cast<Index>(m.states.size()));
+    require_shape(where + "control columns", one.controls.cols(), static_cast<Index>(m.controls.size()));
+    if (one.controls.rows() > m.max_segments) {
+      throw ShapeError(where + std::to_string(one.controls.rows()) + " segments, the module takes " +
+                       std::to_string(m.max_segments));
+    }
+    Index before = 0;
+    for (const Index segment : one.segments) {
+      if (segment <= before || segment > one.controls.rows()) {
+        throw ShapeError(where + "segments must ascend within [1, " + std::to_string(one.controls.rows()) + "], got " +
+                         std::to_string(segment));
+      }
+      before = segment;
+    }
+    if (!one.shape->allFinite() || (one.previous && !one.previous->allFinite()) || !one.state.allFinite() ||
+        !one.controls.allFinite() || !one.knowledge.centre.allFinite() || !one.knowledge.width.allFinite()) {
+      throw Error(where + "holds a number that is not finite");
+    }
+  }
+  return std::make_unique<TorchPrediction>(bound_, cases, request, params_.batch);
+}
+
+}  // namespace weft::torchscript
