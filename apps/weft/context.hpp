@@ -43,6 +43,9 @@ void register_conformance(CLI::App& app, Context& context);
 void register_garment(CLI::App& app, Context& context);
 void register_simulate(CLI::App& app, Context& context);
 void register_displacement(CLI::App& app, Context& context);
+void register_generate(CLI::App& app, Context& context);
+void register_dataset(CLI::App& app, Context& context);
+void register_train(CLI::App& app, Context& context);
 void register_evaluate(CLI::App& app, Context& context);
 
 }  // namespace weft::app

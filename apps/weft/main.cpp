@@ -16,6 +16,9 @@ int main(int argc, char** argv) {
   register_simulate(app, context);
   register_displacement(app, context);
   register_garment(app, context);
+  register_generate(app, context);
+  register_dataset(app, context);
+  register_train(app, context);
   register_evaluate(app, context);
   register_conformance(app, context);
   register_plugins(app, context);

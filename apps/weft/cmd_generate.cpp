@@ -1,0 +1,107 @@
+#include <cstdio>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "context.hpp"
+#include "output.hpp"
+#include "weft/experiment.hpp"
+
+namespace weft::app {
+namespace {
+
+/// "i/n", i from 1 to n.
+void parse_shard(const std::string& text, GenerateOptions& options) {
+  long long index = 0, count = 0;
+  int used = 0;
+  if (std::sscanf(text.c_str(), "%lld/%lld%n", &index, &count, &used) != 2 ||
+      static_cast<std::size_t>(used) != text.size() || count < 1 || index < 1 || index > count) {
+    throw ConfigError("--shard = " + text + ", must be i/n with 1 <= i <= n, such as 2/4");
+  }
+  options.shard_index = index - 1;
+  options.shard_count = count;
+}
+
+/// What the examples depend on: the task and how they are made, and nothing of what is done with them later.
+ConfigNode data_config(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
+                       const std::filesystem::path& folder) {
+  std::vector<std::pair<std::string, ConfigNode>> entries;
+  for (const char* key :
+       {"seed", "garment", "material", "simulator", "trajectory", "manipulation", "scene", "settle", "data"}) {
+    if (const auto value = resolved.find(key)) entries.emplace_back(key, *value);
+  }
+  return self_contained(ConfigNode::mapping(entries), task, registry, folder);
+}
+
+int generate(Context& context, const std::string& file, std::int64_t examples, const std::string& shard) {
+  GenerateOptions options;
+  options.examples = examples;
+  if (!shard.empty()) parse_shard(shard, options);
+  if (context.out.empty()) throw ConfigError("weft generate: --out FOLDER is required");
+  const ConfigNode config = context.load(file);
+  ExperimentParams params;
+  const ConfigNode resolved = read_params(config, params);
+  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
+  const auto registry = context.registry(config);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
+  const auto host = context.host(registry, seed);
+  const Task task = make_task(params.task, config, *host);
+  host->create<Simulator>(task.simulator);  // a wrong simulator shows before any work
+  options.folder = output_folder(context, "");
+  const ConfigNode saved = data_config(resolved, task, *registry, options.folder);
+  // Threads and machine do not belong to the examples: the files must not depend on them.
+  auto provenance = nlohmann::ordered_json::parse(provenance_json(*registry, *host, seed));
+  for (const char* key : {"threads", "cores"}) provenance.erase(key);
+  const DatasetHeader header = make_dataset_header(task, params.data, seed, saved, provenance.dump(2) + "\n");
+  write_text(options.folder / "config.yaml", saved.to_yaml());
+
+  context.say("making " + std::to_string(examples) + " examples of " + task.garment->name + " (" +
+              std::to_string(task.garment->vertex_count()) + " vertices), seed " + std::to_string(seed) + ", " +
+              std::to_string(host->threads()) + " threads");
+  const auto progress = [&](const GenerateReport& report, std::int64_t total) {
+    const double rate = static_cast<double>(report.made) / std::max(1e-9, report.seconds);
+    char line[160];
+    std::snprintf(line, sizeof(line), "%6lld of %lld  %.2f examples/s  %.0f s to go  %lld failed",
+                  static_cast<long long>(report.made), static_cast<long long>(total), rate,
+                  static_cast<double>(total - report.made) / std::max(1e-9, rate),
+                  static_cast<long long>(report.failed));
+    context.say(line);
+  };
+  const GenerateReport report = generate_dataset(task, params.data, header, options, *host, progress);
+  const double rate = report.seconds > 0 ? static_cast<double>(report.made) / report.seconds : 0.0;
+  if (context.json) {
+    std::cout << nlohmann::ordered_json{{"made", report.made},         {"kept", report.kept},
+                                        {"failed", report.failed},     {"files", report.files},
+                                        {"seconds", report.seconds},   {"examples_per_s", rate},
+                                        {"identity", header.identity}, {"cancelled", report.cancelled}}
+                     .dump(2)
+              << '\n';
+  }
+  char line[200];
+  std::snprintf(line, sizeof(line),
+                "%lld examples made in %.1f s (%.2f examples/s, %d threads), %lld kept, %lld failed",
+                static_cast<long long>(report.made), report.seconds, rate, host->threads(),
+                static_cast<long long>(report.kept), static_cast<long long>(report.failed));
+  context.say(line);
+  if (report.cancelled) context.say("stopped; the same command makes the rest");
+  return report.cancelled ? 1 : 0;
+}
+
+}  // namespace
+
+void register_generate(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("generate", "Simulate manipulation examples of random controls and materials");
+  add_common_options(*command, context);
+  auto file = std::make_shared<std::string>();
+  auto examples = std::make_shared<std::int64_t>(0);
+  auto shard = std::make_shared<std::string>();
+  command->add_option("config", *file, "Experiment or task file, such as configs/experiments/tshirt.yaml")->required();
+  command->add_option("--examples", *examples, "Number of examples; a larger one later adds to the folder")
+      ->required()
+      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1000000000}));
+  command->add_option("--shard", *shard, "i/n: make only the i-th of n parts, for many machines");
+  command->callback([&context, file, examples, shard] {
+    context.action = [&context, file, examples, shard] { return generate(context, *file, *examples, *shard); };
+  });
+}
+
+}  // namespace weft::app

@@ -1,0 +1,94 @@
+#include <cstdio>
+#include <iostream>
+
+#include "context.hpp"
+#include "output.hpp"
+#include "weft/experiment.hpp"
+#include "weft/trainable.hpp"
+
+namespace weft::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string duration(double seconds) {
+  char text[40];
+  const auto s = static_cast<long>(std::max(0.0, seconds));
+  if (s < 3600) {
+    std::snprintf(text, sizeof(text), "%ld:%02ld", s / 60, s % 60);
+  } else {
+    std::snprintf(text, sizeof(text), "%ld:%02ld:%02ld", s / 3600, s / 60 % 60, s % 60);
+  }
+  return text;
+}
+
+int train(Context& context, const std::string& file, const std::string& data) {
+  if (context.out.empty()) throw ConfigError("weft train: --out MODEL is required, a file such as model.h5");
+  const fs::path model = context.out;
+  if (model.extension() != ".h5") throw ConfigError("--out = " + context.out + ", must end in .h5");
+  const ConfigNode config = context.load(file);
+  ExperimentParams params;
+  const ConfigNode resolved = read_params(config, params);
+  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
+  const auto registry = context.registry(config);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
+  const auto host = context.host(registry, seed);
+  const Task task = make_task(params.task, config, *host);
+  if (params.predictor.is_null()) config.fail("predictor is missing; name one that learns, such as {plugin: emd}");
+  const auto predictor = host->create<Predictor>(params.predictor);
+  TrainablePredictor* learner = predictor->trainable();
+  if (learner == nullptr)
+    config.fail("predictor does not learn from examples; name one that does, such as {plugin: emd}");
+  const fs::path folder = data.empty() ? params.dataset : fs::path(data);
+  if (folder.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
+
+  context.say("reading " + folder.string());
+  const Dataset dataset = Dataset::load(folder);
+  dataset.require_task(task);
+  if (model.has_parent_path()) fs::create_directories(model.parent_path());
+  FitOptions options;
+  options.seed = seed;
+  options.model = model;
+  options.checkpoint = fs::path(model).replace_extension(".checkpoint.h5");
+  options.provenance = provenance_json(*registry, *host, seed);
+  char line[240];
+  std::snprintf(line, sizeof(line), "training on %zu examples of %s, %zu for validation, %d threads%s",
+                dataset.select(Split::train).size(), dataset.header.garment_name.c_str(),
+                dataset.select(Split::validation).size(), host->threads(),
+                fs::exists(options.checkpoint) ? ", from the checkpoint" : "");
+  context.say(line);
+  const FitReport report = learner->fit(dataset, task, options, [&](const FitProgress& p) {
+    std::snprintf(line, sizeof(line),
+                  "%7lld of %lld  train %8.4f  validation %8.4f (best %8.4f)  %5.1f mm  rate %.1e  %s to go",
+                  static_cast<long long>(p.iteration), static_cast<long long>(p.iterations), p.training_loss,
+                  p.validation_loss, p.best_loss, p.validation_error_mm, p.rate, duration(p.seconds_left).c_str());
+    context.say(line);
+    return true;
+  });
+  // The resolved config beside the results, with the trained predictor's every default.
+  const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
+  write_text(out / "training.json", report.json);
+  write_text(out / "config.yaml",
+             resolved.with("predictor", registry->resolve(Predictor::kKind, params.predictor)).to_yaml());
+  if (context.json) std::cout << report.json;
+  std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
+                report.finished ? "done" : "stopped; the same command goes on",
+                static_cast<long long>(report.iterations), duration(report.seconds).c_str(), model.c_str());
+  context.say(line);
+  return report.finished ? 0 : 1;
+}
+
+}  // namespace
+
+void register_train(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("train", "Fit a predictor to the examples of `weft generate`");
+  add_common_options(*command, context);
+  auto file = std::make_shared<std::string>();
+  auto data = std::make_shared<std::string>();
+  command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
+  command->add_option("--data", *data, "Folder of examples");
+  command->callback(
+      [&context, file, data] { context.action = [&context, file, data] { return train(context, *file, *data); }; });
+}
+
+}  // namespace weft::app

@@ -1,0 +1,123 @@
+// generate, train and evaluate as people use them, on a coarse towel: killed at any moment, the same command finishes
+// the rest and the result equals an uninterrupted run.
+#include <fstream>
+#include <iterator>
+#include <map>
+#include <nlohmann/json.hpp>
+
+#include "unit/test_program.hpp"
+#include "unit/test_support.hpp"
+
+namespace weft {
+namespace {
+
+using test::Folder;
+using test::Outcome;
+using ::testing::HasSubstr;
+
+const std::string kConfig = WEFT_SOURCE_DIR "/configs/experiments/towel_small.yaml";
+
+Outcome weft_command(const std::string& arguments) {
+  return test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + arguments);
+}
+/// Kills the command after a while, as a power cut would.
+Outcome killed_command(double seconds, const std::string& arguments) {
+  return test::run_shell("unset WEFT_PLUGIN_PATH; timeout -s KILL " + std::to_string(seconds) + " '" WEFT_PROGRAM "' " +
+                         arguments);
+}
+std::string quoted(const std::filesystem::path& path) { return "'" + path.string() + "'"; }
+
+std::map<std::string, std::string> shards_of(const std::filesystem::path& folder) {
+  std::map<std::string, std::string> all;
+  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+    if (entry.path().filename().string().rfind("shard-", 0) != 0) continue;
+    std::ifstream stream(entry.path(), std::ios::binary);
+    all[entry.path().filename().string()] = {std::istreambuf_iterator<char>(stream), {}};
+  }
+  return all;
+}
+std::string bytes_of(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
+  const Folder folder;
+  const auto whole = folder / "whole", parts = folder / "parts";
+  const std::string generate = "generate '" + kConfig + "' --examples 72 ";
+  const Outcome made = weft_command(generate + "--jobs 2 --json --out " + quoted(whole));
+  ASSERT_EQ(made.code, 0) << made.output;
+  EXPECT_EQ(nlohmann::json::parse(made.output).at("made"), 72);
+  const auto truth = shards_of(whole);
+  ASSERT_EQ(truth.size(), 5u);
+
+  // Killed again and again, in parts, with other thread counts.
+  for (const double seconds : {0.3, 0.7, 1.1, 1.7})
+    killed_command(seconds, generate + "--jobs 1 --out " + quoted(parts));
+  EXPECT_EQ(weft_command(generate + "--shard 2/2 --jobs 3 --quiet --out " + quoted(parts)).code, 0);
+  EXPECT_EQ(weft_command(generate + "--shard 1/2 --jobs 1 --quiet --out " + quoted(parts)).code, 0);
+  EXPECT_EQ(shards_of(parts), truth);
+
+  const auto info = nlohmann::json::parse(weft_command("dataset info --json " + quoted(whole)).output);
+  EXPECT_EQ(info.at("examples"), 72);
+  EXPECT_EQ(info.at("failed"), 0);
+  EXPECT_EQ(weft_command("dataset check " + quoted(whole)).code, 0);
+  std::ofstream(parts / "shard-00001.h5", std::ios::binary) << truth.at("shard-00001.h5").substr(0, 3000);
+  const Outcome damaged = weft_command("dataset check " + quoted(parts));
+  EXPECT_EQ(damaged.code, 1);
+  EXPECT_THAT(damaged.output, HasSubstr("shard-00001.h5"));
+  EXPECT_EQ(weft_command("generate '" + kConfig + "' --examples 8 --seed 99 --out " + quoted(whole)).code, 2);
+
+  const std::string train = "train '" + kConfig + "' --jobs 1 --quiet --data " + quoted(whole) + " --out ";
+  const Outcome trained = weft_command(train + quoted(folder / "a/model.h5"));
+  if (WEFT_HAS_TORCH == 0) {
+    EXPECT_THAT(trained.output, HasSubstr("made without libtorch"));
+    return;
+  }
+  ASSERT_EQ(trained.code, 0) << trained.output;
+  // Killed as soon as the first checkpoint is there.
+  test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + train + quoted(folder / "b/model.h5") +
+                  " & pid=$!; for i in $(seq 600); do test -e " + quoted(folder / "b/model.checkpoint.h5") +
+                  " && break; sleep 0.05; done; kill -KILL $pid; wait $pid");
+  const Outcome resumed = weft_command(train + quoted(folder / "b/model.h5"));
+  EXPECT_EQ(resumed.code, 0) << resumed.output;
+  EXPECT_EQ(bytes_of(folder / "a/model.h5"), bytes_of(folder / "b/model.h5"));
+  const auto curve = nlohmann::json::parse(bytes_of(folder / "b/training.json"));
+  EXPECT_EQ(curve.at("stopped_by"), "iterations");
+  EXPECT_EQ(curve.at("curve").size(), 4u);
+
+  const Outcome evaluated =
+      weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(whole) +
+                   " --set predictor.params.model=" + quoted(folder / "a/model.h5") + " --out " + quoted(folder / "e"));
+  ASSERT_EQ(evaluated.code, 0) << evaluated.output;
+  const auto figures = nlohmann::json::parse(bytes_of(folder / "e/prediction.json"));
+  const double error = figures.at("settled").at("from_start").at("mean_mm");
+  EXPECT_LT(error, figures.at("baselines").at("persistence").at("mean_mm").get<double>());
+  EXPECT_LT(error, figures.at("baselines").at("mean_shape").at("mean_mm").get<double>());
+  for (const char* key : {"by_step", "by_step_from_random", "by_step_no_knowledge"})
+    EXPECT_FALSE(figures.at(key).empty());
+  EXPECT_THAT(bytes_of(folder / "e/prediction.csv"), HasSubstr("settled.no_knowledge"));
+}
+
+TEST(Learning, WrongUseSaysWhy) {
+  const Folder folder;
+  const auto refused = [&](const std::string& arguments) {
+    const Outcome outcome = weft_command(arguments);
+    EXPECT_EQ(outcome.code, 2) << outcome.output;
+    return outcome.output;
+  };
+  EXPECT_THAT(refused("generate '" + kConfig + "' --examples 4"), HasSubstr("--out FOLDER is required"));
+  EXPECT_THAT(refused("generate '" + kConfig + "' --examples 4 --shard 0/2 --out " + quoted(folder / "d")),
+              HasSubstr("--shard = 0/2, must be i/n"));
+  EXPECT_THAT(refused("train '" + kConfig + "' --out " + quoted(folder / "m")), HasSubstr("must end in .h5"));
+  EXPECT_THAT(
+      refused("train '" + kConfig + "' --data " + quoted(folder / "none") + " --out " + quoted(folder / "m.h5")),
+      HasSubstr("is no folder"));
+  EXPECT_THAT(
+      refused("train '" + kConfig + "' --set predictor='{plugin: rollout}' --data x --out " + quoted(folder / "m.h5")),
+      HasSubstr("does not learn"));
+  EXPECT_THAT(refused("evaluate prediction '" + kConfig + "' --data x"), HasSubstr("needs a model file"));
+}
+
+}  // namespace
+}  // namespace weft
