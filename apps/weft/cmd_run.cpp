@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdio>
 #include <iostream>
 
@@ -49,6 +50,14 @@ int run(Context& context, const std::string& file) {
   std::snprintf(line, sizeof(line), "error %.1f mm after %zu segments (default control: %.1f mm)", result.error_mm,
                 result.rounds.size(), result.default_error_mm);
   context.say(line);
+  if (!result.rounds.empty()) {
+    double replan = 0.0, estimate = 0.0;
+    for (std::size_t i = 1; i < result.rounds.size(); ++i) replan = std::max(replan, result.rounds[i].plan.seconds);
+    for (const auto& one : result.estimates) estimate = std::max(estimate, one.seconds);
+    std::snprintf(line, sizeof(line), "first plan %.2f s, slowest later plan %.2f s, slowest estimate %.2f s",
+                  result.rounds.front().plan.seconds, replan, estimate);
+    context.say(line);
+  }
   context.say("results in " + folder.string());
   return result.released ? 0 : 1;
 }

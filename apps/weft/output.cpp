@@ -42,9 +42,13 @@ ConfigNode self_contained(const ConfigNode& resolved, const Task& task, const Pl
                                                                     {"name", ConfigNode::quoted(garment.name)},
                                                                     {"vertices", ConfigNode::mapping(vertices)}}));
   config = config.with("material", write_material_space(task.material));
-  for (const char* kind : {Simulator::kKind, Predictor::kKind, Trajectory::kKind, "optimiser"}) {
-    const auto slot = config.find(kind);
-    if (slot && !slot->is_null()) config = config.with(kind, registry.resolve(kind, *slot));
+  for (const auto& [key, kind] : {std::pair(Simulator::kKind, Simulator::kKind),
+                                  {Predictor::kKind, Predictor::kKind},
+                                  {Trajectory::kKind, Trajectory::kKind},
+                                  {"optimiser", "optimiser"},
+                                  {"estimation_optimiser", "optimiser"}}) {
+    const auto slot = config.find(key);
+    if (slot && !slot->is_null()) config = config.with(key, registry.resolve(kind, *slot));
   }
   return config;
 }

@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <future>
 #include <nlohmann/json.hpp>
 #include <numeric>
 
@@ -13,6 +14,9 @@ namespace {
 // Keys of the random streams of a session; each purpose draws from its own.
 constexpr std::uint64_t kMaterialStream = 0x71;
 constexpr std::uint64_t kGoalStream = 0x676f616c;
+constexpr std::uint64_t kKnowledgeStream = 0x6b6e6f77;
+constexpr std::uint64_t kHiddenStream = 0x68696465;
+constexpr std::uint64_t kNoiseStream = 0x6e6f6973;
 
 std::vector<float> to_frame(const Positions& positions) {
   const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> single = positions.cast<float>();
@@ -25,6 +29,74 @@ PropertyVector read_property_vector(const ConfigNode& origin, const char* key, c
   }
   return Eigen::Map<const Eigen::Vector4d>(values.data());
 }
+
+/// What was seen, the rest from what was expected.
+std::shared_ptr<const Positions> filled(const Observation& seen, const Positions& expected) {
+  Positions shape = seen.positions;
+  for (Index v = 0; v < shape.rows(); ++v) {
+    if (!seen.sees(v)) shape.row(v) = expected.row(v);
+  }
+  return std::make_shared<const Positions>(std::move(shape));
+}
+
+/// The flat garment at the height at which it is seen.
+Positions expected_start(const Task& task, const Observation& seen) {
+  Positions expected = task.garment->positions;
+  double height = 0.0;
+  Index count = 0;
+  for (Index v = 0; v < expected.rows(); ++v) {
+    if (!seen.sees(v)) continue;
+    height += seen.positions(v, 2);
+    ++count;
+  }
+  if (count > 0) expected.col(2).setConstant(height / static_cast<double>(count));
+  return expected;
+}
+
+/// Estimates after every segment, each one from everything up to then and the estimate before it. With more than one
+/// thread they run beside the session; what they are does not depend on that.
+class EstimateChain {
+ public:
+  EstimateChain(const Estimator* estimator, Host& host, std::uint64_t seed, double noise)
+      : estimator_(estimator), host_(host) {
+    history_.seed = seed;
+    history_.start_sigma = noise;
+  }
+  void start(std::shared_ptr<const Positions> shape, const Vector& state, Index controls) {
+    history_.start = std::move(shape);
+    history_.state = state;
+    history_.controls.resize(0, controls);
+  }
+  /// One more segment was executed and seen.
+  void add(ConstVec control, Observation seen) {
+    history_.controls.conservativeResize(history_.controls.rows() + 1, Eigen::NoChange);
+    history_.controls.bottomRows(1) = control.transpose();
+    history_.observations.push_back(std::make_shared<const Observation>(std::move(seen)));
+    history_.round = history_.controls.rows() - 1;
+    const auto before = estimates_.empty() ? std::shared_future<Estimate>() : estimates_.back();
+    const auto policy = host_.threads() > 1 ? std::launch::async : std::launch::deferred;
+    estimates_.push_back(std::async(policy, [this, before, request = history_]() mutable {
+                           if (before.valid()) request.previous = before.get().knowledge;
+                           return estimator_->estimate(request);
+                         }).share());
+  }
+  /// After `segments` segments; before the first one nothing is known. Waits for it.
+  MaterialKnowledge knowledge(std::int64_t segments) const {
+    if (segments <= 0) return MaterialKnowledge::none();
+    return estimates_.at(static_cast<std::size_t>(segments - 1)).get().knowledge;
+  }
+  std::vector<Estimate> all() const {
+    std::vector<Estimate> list;
+    for (const auto& one : estimates_) list.push_back(one.get());
+    return list;
+  }
+
+ private:
+  const Estimator* estimator_;
+  Host& host_;
+  EstimateRequest history_;
+  std::vector<std::shared_future<Estimate>> estimates_;
+};
 
 /// Rows of controls from the config: a list of rows, or one row that is repeated until release.
 Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Index horizon) {
@@ -62,8 +134,9 @@ Positions final_shape_of(const std::filesystem::path& session_file, const Garmen
 }  // namespace
 
 SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task,
-                                           const MaterialProperties& material)
-    : simulator_(std::move(simulator)), settle_(task.settle) {
+                                           const MaterialProperties& material, const ObservationParams& params,
+                                           std::uint64_t seed)
+    : simulator_(std::move(simulator)), settle_(task.settle), params_(params), seed_(seed) {
   simulator_->reset(task.garment, task.material.at(material), task.scene);
   simulator_->grasp(task.manipulation.grasp_vertices);
   record();
@@ -72,7 +145,24 @@ SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator,
 void SimulatorEnvironment::record() { frames_.push_back(to_frame(simulator_->positions())); }
 
 Observation SimulatorEnvironment::observe() {
-  return {.positions = simulator_->positions(), .time_s = static_cast<double>(simulator_->frame()) * kFrameSeconds};
+  Observation seen{.positions = simulator_->positions(),
+                   .time_s = static_cast<double>(simulator_->frame()) * kFrameSeconds};
+  const RandomStream streams(seed_, kNoiseStream, observations_++);
+  if (params_.noise_m > 0.0) {
+    seen.sigma = params_.noise_m;
+    RandomStream random = streams.child(0);
+    for (Index k = 0; k < seen.positions.size(); ++k) seen.positions.data()[k] += params_.noise_m * random.normal();
+  }
+  if (params_.hidden_share > 0.0 || params_.lost_share > 0.0) {
+    RandomStream hidden(seed_, kHiddenStream);
+    RandomStream lost = streams.child(1);
+    seen.observed.resize(static_cast<std::size_t>(seen.positions.rows()));
+    for (std::size_t v = 0; v < seen.observed.size(); ++v) {
+      const bool is_hidden = hidden.uniform() < params_.hidden_share, is_lost = lost.uniform() < params_.lost_share;
+      seen.observed[v] = !is_hidden && !is_lost;
+    }
+  }
+  return seen;
 }
 
 void SimulatorEnvironment::execute(const SegmentPath& path) {
@@ -113,10 +203,37 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
     knowledge.centre = read_property_vector(origin, "given_centre", params.given_centre);
     knowledge.width = read_property_vector(origin, "given_width", params.given_width);
   }
+  if (params.knowledge == "drawn") {
+    RandomStream random(seed, kKnowledgeStream);
+    knowledge.width.setConstant(params.drawn_width);
+    for (Index p = 0; p < 4; ++p) {
+      const double offset = params.drawn_width * (random.uniform() - 0.5);
+      knowledge.centre(p) = std::clamp(result.true_material(p) + offset, 0.0, 1.0);
+    }
+  }
   if (params.predictor.is_null()) origin.fail("predictor is missing; name one, such as {plugin: rollout}");
   const auto predictor = host.create<Predictor>(params.predictor);
   predictor->bind(task);
   const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+  std::unique_ptr<const Estimator> estimator;
+  if (params.knowledge == "estimate") {
+    estimator = std::make_unique<const Estimator>(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
+                                                  params.estimation, host);
+  }
+  std::unique_ptr<const Planner> refiner;
+  if (params.refinement.plans > 0) {
+    const auto simulation = host.create<Predictor>(params.refinement.predictor);
+    simulation->bind(task);
+    PlannerParams refinement = params.planning;
+    refinement.instances = 1;
+    refinement.replan_iterations = params.refinement.iterations;
+    refinement.replan_scale = params.refinement.scale;
+    refinement.leeway = 0;
+    refinement.time_budget_s = 0.0;
+    refinement.replay_iterations.clear();
+    refiner =
+        std::make_unique<const Planner>(task, simulation, host.create<Optimiser>(params.optimiser), refinement, host);
+  }
 
   // What the default control gives, and the goal.
   const auto reference = host.create<Simulator>(task.simulator);
@@ -164,39 +281,58 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   result.default_error_mm = mean_distance_mm(result.default_shape, result.goal);
 
   // Plan, execute one segment, observe, re-plan, ..., release.
-  SimulatorEnvironment environment(host.create<Simulator>(task.simulator), task, result.true_material);
+  SimulatorEnvironment environment(host.create<Simulator>(task.simulator), task, result.true_material,
+                                   params.observation, seed);
+  EstimateChain chain(estimator.get(), host, seed, params.observation.noise_m);
   Vector state = trajectory.initial_state(task.manipulation);
-  auto current = std::make_shared<const Positions>(environment.observe().positions);
+  const Observation first = environment.observe();
+  auto current = filled(first, expected_start(task, first));
   std::shared_ptr<const Positions> previous;
   const auto goal = std::make_shared<const Positions>(result.goal);
-  result.start = *current;
+  result.start = environment.positions();
+  chain.start(current, state, static_cast<Index>(trajectory.controls().size()));
   Controls warm_start;
   while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
          !host.cancelled()) {
+    const auto number = static_cast<std::int64_t>(result.rounds.size());
+    if (estimator) knowledge = chain.knowledge(number - params.knowledge_lag);
     PlanRequest request{.shape = current, .previous = previous, .state = state, .goal = goal, .knowledge = knowledge};
     request.warm_start = warm_start;
-    request.round = static_cast<Index>(result.rounds.size());
+    request.round = static_cast<Index>(number);
     request.seed = seed;
     SessionRound round;
     round.state = state;
     round.knowledge = knowledge;
     round.plan = planner.plan(request);
-    const SegmentPath path = trajectory.segment(task.manipulation, state, round.plan.controls.row(0).transpose());
+    if (refiner && number < params.refinement.plans) {
+      request.warm_start = round.plan.controls;
+      Plan refined = refiner->plan(request);
+      round.refinement_seconds = refined.seconds;
+      // Its seconds are told apart; its curves and losses are in the simulator's terms, as its prediction is.
+      refined.seconds = round.plan.seconds;
+      refined.iterations = round.plan.iterations;
+      round.plan = std::move(refined);
+    }
+    const Vector control = round.plan.controls.row(0).transpose();
+    const SegmentPath path = trajectory.segment(task.manipulation, state, control);
     environment.execute(path);
     state = path.end_state;
     if (trajectory.released(state)) {
       result.settle = environment.release();
       result.released = true;
     }
-    round.observed = environment.observe().positions;
+    Observation seen = environment.observe();
     previous = current;
-    current = std::make_shared<const Positions>(round.observed);
+    current = filled(seen, round.plan.shapes.front().mean);
+    round.observed = *current;
+    if (estimator) chain.add(control, std::move(seen));
     warm_start = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
     if (warm_start.rows() == 0) warm_start = trajectory.default_controls(1);
-    if (progress) progress(round, request.round, mean_distance_mm(*current, result.goal));
+    if (progress) progress(round, request.round, mean_distance_mm(environment.positions(), result.goal));
     result.rounds.push_back(std::move(round));
   }
-  result.final_shape = *current;
+  result.estimates = chain.all();
+  result.final_shape = environment.positions();
   result.error_mm = mean_distance_mm(result.final_shape, result.goal);
   result.simulate_seconds = environment.seconds();
   result.max_grasp_strain = environment.max_grasp_strain();
@@ -233,10 +369,19 @@ std::string session_summary_json(const SessionResult& result) {
   summary["plan_seconds"] = plan_seconds;
   summary["plan_iterations"] = iterations;
   summary["predicted_error_mm"] = predicted;
-  summary["estimate_seconds"] = ordered_json::array();
+  auto estimate_seconds = ordered_json::array();
+  for (const auto& estimate : result.estimates) estimate_seconds.push_back(estimate.seconds);
+  summary["estimate_seconds"] = estimate_seconds;
+  double refinement_seconds = 0.0;
+  for (const auto& round : result.rounds) refinement_seconds += round.refinement_seconds;
+  if (refinement_seconds > 0.0) summary["refinement_seconds"] = refinement_seconds;
   summary["simulate_seconds"] = result.simulate_seconds;
   summary["max_grasp_strain"] = result.max_grasp_strain;
   summary["knowledge"] = knowledge;
+  if (!result.estimates.empty()) {
+    const auto& last = result.estimates.back().knowledge;
+    summary["final_knowledge"] = {{"centre", list(last.centre)}, {"width", list(last.width)}};
+  }
   summary["true_material"] = list(result.true_material);
   summary["warnings"] = result.warnings;
   return summary.dump(2) + "\n";
@@ -265,6 +410,15 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   if (result.goal_controls.rows() > 0) file.write("/goal_controls", result.goal_controls);
   const Eigen::VectorXd material = result.true_material;
   file.write("/true_material", material);
+  if (!result.estimates.empty()) {
+    Controls centre(static_cast<Index>(result.estimates.size()), 4), width = centre;
+    for (Index j = 0; j < centre.rows(); ++j) {
+      centre.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.centre.transpose();
+      width.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.width.transpose();
+    }
+    file.write("/estimates/centre", centre);
+    file.write("/estimates/width", width);
+  }
   std::vector<float> frames;
   for (const auto& frame : result.frames) frames.insert(frames.end(), frame.begin(), frame.end());
   file.write("/frames", {static_cast<Index>(result.frames.size()), garment.vertex_count(), 3}, frames.data());

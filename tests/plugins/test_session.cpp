@@ -129,6 +129,116 @@ TEST_F(Session, GoalsByControlsByObjAndByRecordedSession) {
   EXPECT_EQ(by_example.goal, by_controls.final_shape);
 }
 
+const std::vector<std::string> kEstimate = {"knowledge=estimate", "planning.iterations=1",
+                                            "planning.replan_iterations=0", "planning.instances=1",
+                                            "estimation={instances: 2, iterations: 3, later_iterations: 2}"};
+std::vector<std::string> with(std::vector<std::string> list, const std::vector<std::string>& more) {
+  list.insert(list.end(), more.begin(), more.end());
+  return list;
+}
+
+TEST_F(Session, EstimatesBesideTheSessionAndRepeatsBitForBit) {
+  const SessionResult one = run(kEstimate, 1), two = run(kEstimate, 2);
+  ASSERT_EQ(one.rounds.size(), two.rounds.size());
+  ASSERT_EQ(one.estimates.size(), one.rounds.size());
+  for (std::size_t i = 0; i < one.estimates.size(); ++i) {
+    EXPECT_EQ(one.estimates[i].losses, two.estimates[i].losses) << i;
+    EXPECT_EQ(one.estimates[i].knowledge.centre, two.estimates[i].knowledge.centre) << i;
+    EXPECT_EQ(one.estimates[i].knowledge.width, two.estimates[i].knowledge.width) << i;
+    EXPECT_EQ(one.rounds[i].plan.controls, two.rounds[i].plan.controls) << i;
+  }
+  EXPECT_EQ(one.final_shape, two.final_shape);
+}
+
+TEST_F(Session, APlanUsesTheEstimateThatItsLagAllows) {
+  for (const Index lag : {0, 2}) {
+    const SessionResult result = run(with(kEstimate, {"knowledge_lag=" + std::to_string(lag)}));
+    ASSERT_GE(result.rounds.size(), 5u);
+    for (std::size_t j = 0; j < result.rounds.size(); ++j) {
+      const Index seen = static_cast<Index>(j) - lag;
+      const MaterialKnowledge expected =
+          seen <= 0 ? MaterialKnowledge::none() : result.estimates[static_cast<std::size_t>(seen - 1)].knowledge;
+      EXPECT_EQ(result.rounds[j].knowledge.centre, expected.centre) << lag << ", " << j;
+      EXPECT_EQ(result.rounds[j].knowledge.width, expected.width) << lag << ", " << j;
+    }
+  }
+}
+
+TEST_F(Session, LearnsWhatTheClothShows) {
+  // The predictor is the simulator of the fold itself, so what is left is the estimator's own error.
+  const SessionResult result =
+      run({"knowledge=estimate", "true_material=[0.15, 0.85, 0.2, 0.75]", "planning.iterations=1",
+           "goal.controls=[2.3, 0, 0.1, 0, 0]", "planning.replan_iterations=0", "planning.instances=1",
+           "planning.horizon=8", "predictor={plugin: rollout, params: {sigma_m: 0.001}}",
+           "estimation={instances: 2, iterations: 25, later_iterations: 5}", "knowledge_lag=0"});
+  const auto& last = result.estimates.back().knowledge;
+  const PropertyVector error = (last.centre - result.true_material).cwiseAbs();
+  for (Index p = 0; p < 4; ++p) EXPECT_LT(error(p), 0.12) << kPropertyNames[static_cast<std::size_t>(p)];
+  EXPECT_LT(last.width.mean(), 0.5 * result.estimates.front().knowledge.width.mean() + 0.1);
+}
+
+TEST_F(Session, SeesNoisyAndPartialShapesAndIsJudgedByTheTruth) {
+  const std::vector<std::string> poor =
+      with(kEstimate, {"observation={noise_m: 0.002, hidden_share: 0.3, lost_share: 0.2}"});
+  const SessionResult one = run(poor, 1), two = run(poor, 2);
+  ASSERT_EQ(one.rounds.size(), two.rounds.size());
+  EXPECT_EQ(one.rounds.back().observed, two.rounds.back().observed);
+  EXPECT_EQ(one.estimates.back().knowledge.width, two.estimates.back().knowledge.width);
+  EXPECT_EQ(one.final_shape, two.final_shape);
+  EXPECT_NE(one.rounds.back().observed, one.final_shape);
+  EXPECT_EQ(one.error_mm, mean_distance_mm(one.final_shape, one.goal));
+  EXPECT_LT(mean_distance_mm(one.rounds.back().observed, one.final_shape), 100.0);
+}
+
+TEST_F(Session, HiddenVerticesStayHiddenAndNoiseIsAsLargeAsItSays) {
+  const Task towel = (run({"planning.iterations=0", "planning.instances=1", "planning.replan_iterations=0"}), task());
+  const auto registry = std::make_shared<PluginRegistry>();
+  const auto host = make_host(registry, {.threads = 1});
+  SimulatorEnvironment environment(host->create<Simulator>(towel.simulator), towel, PropertyVector::Constant(0.5),
+                                   {.noise_m = 0.003, .hidden_share = 0.25, .lost_share = 0.25}, 9);
+  const Index n = towel.garment->vertex_count();
+  std::vector<int> times(static_cast<std::size_t>(n));
+  double square = 0.0;
+  constexpr int kLooks = 200;
+  for (int k = 0; k < kLooks; ++k) {
+    const Observation seen = environment.observe();
+    EXPECT_EQ(seen.sigma, 0.003);
+    for (Index v = 0; v < n; ++v) times[static_cast<std::size_t>(v)] += seen.sees(v);
+    square += (seen.positions - environment.positions()).squaredNorm() / static_cast<double>(3 * n * kLooks);
+  }
+  EXPECT_NEAR(std::sqrt(square), 0.003, 1e-4);
+  Index hidden = 0;
+  for (const int t : times) {
+    hidden += t == 0;
+    if (t > 0) {
+      EXPECT_NEAR(t, 0.75 * kLooks, 40);
+    }
+  }
+  EXPECT_NEAR(static_cast<double>(hidden), 0.25 * static_cast<double>(n), 0.15 * static_cast<double>(n));
+}
+
+TEST_F(Session, DrawnKnowledgeHoldsTheTruth) {
+  std::vector<std::string> quick = {"planning.iterations=0", "planning.instances=1", "planning.replan_iterations=0",
+                                    "knowledge=drawn", "drawn_width=0.4"};
+  const SessionResult result = run(quick);
+  const auto& k = result.rounds.front().knowledge;
+  EXPECT_EQ(k.width, PropertyVector::Constant(0.4));
+  for (Index p = 0; p < 4; ++p) {
+    EXPECT_LE(std::abs(k.centre(p) - result.true_material(p)), 0.2);
+    EXPECT_NE(k.centre(p), result.true_material(p));
+  }
+}
+
+TEST_F(Session, RefinementBringsThePlanCloserInTheSimulator) {
+  const std::vector<std::string> wrong = {"true_material=[0.5, 0.9, 0.5, 0.5]",
+                                          "planning={instances: 1, iterations: 3, replan_iterations: 0, horizon: 14}"};
+  const SessionResult plain = run(wrong), refined = run(with(wrong, {"refinement={plans: 1, iterations: 3}"}));
+  EXPECT_LT(refined.rounds.front().plan.predicted_error_mm, plain.rounds.front().plan.predicted_error_mm);
+  EXPECT_GT(refined.rounds.front().refinement_seconds, 0.0);
+  EXPECT_EQ(refined.rounds[1].refinement_seconds, 0.0);
+  EXPECT_EQ(plain.rounds.front().refinement_seconds, 0.0);
+}
+
 TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
   const auto message = [&](const std::vector<std::string>& overrides) {
     return test::message_of<ConfigError>([&] { run(overrides); });

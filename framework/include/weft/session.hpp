@@ -3,6 +3,7 @@
 #include <functional>
 #include <string>
 
+#include "weft/estimator.hpp"
 #include "weft/observation.hpp"
 #include "weft/planner.hpp"
 #include "weft/random_controls.hpp"
@@ -21,11 +22,28 @@ class Environment {
   virtual SettleResult release() = 0;
 };
 
+/// What a session sees of the cloth.
+struct ObservationParams {
+  double noise_m = 0.0;
+  double hidden_share = 0.0;
+  double lost_share = 0.0;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("noise_m", noise_m, range(0, 1, "m"), "Standard deviation of Gaussian noise on every coordinate that is seen.");
+    v("hidden_share", hidden_share, range(0, 0.99), "Share of the vertices that are never seen, drawn from the seed.");
+    v("lost_share", lost_share, range(0, 0.99), "Share of the vertices that an observation misses, drawn each time.");
+  }
+};
+
 /// The first environment: a simulator with the true material. Records every frame it simulates.
 class WEFT_API SimulatorEnvironment final : public Environment {
  public:
-  SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task, const MaterialProperties& material);
+  /// @param seed of noise and of what stays hidden; the k-th observation draws the same numbers whatever went before.
+  SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task, const MaterialProperties& material,
+                       const ObservationParams& params = {}, std::uint64_t seed = 0);
   Observation observe() override;
+  const Positions& positions() const { return simulator_->positions(); }  ///< the truth
   void execute(const SegmentPath& path) override;
   SettleResult release() override;
   /// [frames][V * 3], single precision: what the page plays.
@@ -37,6 +55,8 @@ class WEFT_API SimulatorEnvironment final : public Environment {
   void record();
   std::shared_ptr<Simulator> simulator_;
   SettleCriterion settle_;
+  ObservationParams params_;
+  std::uint64_t seed_ = 0, observations_ = 0;
   std::vector<std::vector<float>> frames_;
   double seconds_ = 0.0;
   double max_grasp_strain_ = 0.0;
@@ -76,15 +96,39 @@ struct GoalParams {
   }
 };
 
+/// A few iterations with a simulator as the predictor, after the network's plan.
+struct RefinementParams {
+  std::int64_t plans = 0;
+  std::int64_t iterations = 3;
+  double scale = 0.1;
+  ConfigNode predictor = ConfigNode::parse("{plugin: rollout}", "default");
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("plans", plans, range(0, 1000), "How many plans of a session are refined, from the first on; 0: none.");
+    v("iterations", iterations, range(0, 10000), "Optimiser iterations of a refinement.");
+    v("scale", scale, range(1e-6, 1),
+      "Typical change of a control in a refinement, as a part of its change in a first plan.");
+    v("predictor", predictor, PluginSlot{"predictor"},
+      "What is in the loop: the simulator, at the estimated material.");
+  }
+};
+
 struct SessionParams {
   TaskParams task;
   ConfigNode predictor;
   ConfigNode optimiser = ConfigNode::parse("{plugin: rprop}", "default");
+  ConfigNode estimation_optimiser = ConfigNode::parse("{plugin: rprop}", "default");
   PlannerParams planning;
+  EstimatorParams estimation;
+  RefinementParams refinement;
+  ObservationParams observation;
   GoalParams goal;
   std::vector<double> true_material;
   std::string knowledge = "true";
   std::vector<double> given_centre, given_width;
+  double drawn_width = 0.1;
+  std::int64_t knowledge_lag = 1;
   std::int64_t max_segments = 40;
   std::int64_t seed = 1;
   std::int64_t threads = 0;
@@ -100,13 +144,24 @@ struct SessionParams {
     task.visit(v);
     v("predictor", predictor, PluginSlot{"predictor"}, "Predictor plugin that plans are made with.");
     v("optimiser", optimiser, PluginSlot{"optimiser"}, "Optimiser plugin.");
+    v("estimation_optimiser", estimation_optimiser, PluginSlot{"optimiser"}, "Optimiser plugin of the estimates.");
     v.group("planning", planning, "Trajectory planning (section 4).");
+    v.group("estimation", estimation, "Material estimation (section 5).");
+    v.group("refinement", refinement, "The simulator in the loop, after the network's plan.");
+    v.group("observation", observation, "What is seen of the cloth.");
     v.group("goal", goal, "The shape to reach.");
     v("true_material", true_material, range(0, 1),
       "q of the executed fold, [friction, bend, stretch, thickness]; default: drawn from the seed.");
-    v("knowledge", knowledge, choice({"none", "true", "given"}), "What the planner knows of the material.");
+    v("knowledge", knowledge, choice({"none", "true", "given", "drawn", "estimate"}),
+      "What the planner knows of the material; estimate: what the session has shown so far.");
     v("given_centre", given_centre, range(0, 1), "knowledge: given: c, [4].");
     v("given_width", given_width, range(0, 1), "knowledge: given: w, [4].");
+    v("drawn_width", drawn_width, range(0, 1),
+      "knowledge: drawn: w of all properties; c is drawn uniformly from [q - w/2, q + w/2] (section 4).");
+    v("knowledge_lag", knowledge_lag, range(0, 1000, "segments"),
+      "knowledge: estimate: plan j uses what was seen up to segment j - knowledge_lag. From 1 on the estimate runs "
+      "beside "
+      "planning and execution; 0 waits for it.");
     v("max_segments", max_segments, range(1, 1000, "segments"),
       "End the session here even when no plan reached release.");
   }
@@ -117,7 +172,10 @@ struct SessionRound {
   Plan plan;
   Vector state;                 ///< [S] before the segment
   MaterialKnowledge knowledge;  ///< what the plan was made with
-  Positions observed;           ///< [V, 3] m, after the segment (settled if it was the last)
+  /// [V, 3] m, after the segment (settled if it was the last): as seen, what was not seen filled from the plan's
+  /// prediction
+  Positions observed;
+  double refinement_seconds = 0.0;
 };
 
 struct SessionResult {
@@ -125,6 +183,8 @@ struct SessionResult {
   Positions start, goal, final_shape, default_shape;  ///< [V, 3] m
   Controls goal_controls;                             ///< [k, C] of a goal that was simulated, else 0 rows
   MaterialProperties true_material = MaterialProperties::Zero();
+  /// [rounds]: from everything up to the end of that round's segment. Empty unless knowledge is `estimate`.
+  std::vector<Estimate> estimates;
   double error_mm = 0.0, default_error_mm = 0.0;
   bool released = false;
   SettleResult settle;
@@ -137,7 +197,9 @@ struct SessionResult {
 /// Called after every round, for progress.
 using SessionProgress = std::function<void(const SessionRound&, Index round, double error_to_goal_mm)>;
 
-/// Runs one whole session: plan, execute one segment, observe, re-plan, ..., release, settle (section 4).
+/// Runs one whole session: plan, execute one segment, observe, re-plan, ..., release, settle (section 4); with
+/// knowledge: estimate the material is estimated after every segment (section 5), beside planning and execution. Which
+/// estimate a plan uses is fixed by knowledge_lag and never by timing.
 /// @throws ConfigError, PluginError before any work starts; Error when planning or the simulation fails.
 WEFT_API SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host,
                                    const SessionProgress& progress = {});
