@@ -1,5 +1,6 @@
 #include "weft/physics.hpp"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -713,11 +714,163 @@ void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
        }});
 }
 
+// ---------------------------------------------------------------------------------------------------------------------
+// Folds of the task
+
+/// Largest |principal stretch - 1| over the faces that are no closer than `radius` (m, at rest) to a grasped vertex.
+class StrainAwayFromGrasps {
+ public:
+  StrainAwayFromGrasps(const Task& task, double radius) : garment_(*task.garment) {
+    for (Index f = 0; f < garment_.face_count(); ++f) {
+      bool near = false;
+      for (int k = 0; k < 3; ++k)
+        for (const Index grasp : task.manipulation.grasp_vertices)
+          near |= (garment_.rest.row(garment_.faces(f, k)) - garment_.rest.row(grasp)).norm() <= radius;
+      if (!near) faces_.push_back(f);
+    }
+  }
+  double operator()(const Positions& x) const {
+    double worst = 0.0;
+    for (const Index f : faces_) {
+      Eigen::Matrix2d rest;
+      Eigen::Matrix<double, 3, 2> now;
+      for (int k = 0; k < 2; ++k) {
+        const int i = garment_.faces(f, 0), j = garment_.faces(f, k + 1);
+        rest.col(k) = (garment_.rest.row(j) - garment_.rest.row(i)).transpose();
+        now.col(k) = (x.row(j) - x.row(i)).transpose();
+      }
+      const Eigen::Matrix<double, 3, 2> deformation = now * rest.inverse();
+      const Eigen::Matrix2d c = deformation.transpose() * deformation;
+      const double mean = 0.5 * (c(0, 0) + c(1, 1)), apart = std::hypot(0.5 * (c(0, 0) - c(1, 1)), c(0, 1));
+      for (const double square : {mean + apart, mean - apart})
+        worst = std::max(worst, std::abs(std::sqrt(std::max(0.0, square)) - 1.0));
+    }
+    return worst;
+  }
+
+ private:
+  const Garment& garment_;
+  std::vector<Index> faces_;
+};
+
+struct RandomFold {
+  MaterialProperties material;
+  Controls controls;
+};
+RandomFold random_fold(const Task& task, const PhysicsParams::Folds& p, std::uint64_t seed) {
+  RandomStream random(seed, 0x666f6c64);
+  RandomFold fold;
+  for (Index k = 0; k < fold.material.size(); ++k) fold.material[k] = random.uniform();
+  fold.controls = random_controls(*task.trajectory, p.horizon, p.controls, random);
+  return fold;
+}
+
+/// Worst of a group of folds, with the seeds that are out of bounds.
+class Worst {
+ public:
+  Worst(std::string quantity, double bound) : quantity_(std::move(quantity)), bound_(bound) {}
+  void add(std::uint64_t seed, double value) {
+    if (value > worst_) worst_ = value, worst_seed_ = seed;
+    if (!(value <= bound_)) failed_ += " " + std::to_string(seed);
+  }
+  PhysicsRow row_of(const SimulatorVariant& variant, const std::string& name) const {
+    std::string note;
+    if (!failed_.empty())
+      note = "failing seeds:" + failed_;
+    else if (worst_ > 0.0)
+      note = "largest at seed " + std::to_string(worst_seed_);
+    return row("folds", variant, name, quantity_, 0.0, worst_, failed_.empty() ? std::max(0.0, worst_) : worst_, bound_,
+               note);
+  }
+
+ private:
+  std::string quantity_, failed_;
+  double bound_ = 0.0, worst_ = 0.0;
+  std::uint64_t worst_seed_ = 0;
+};
+
+std::vector<PhysicsRow> random_folds(const SimulatorVariant& variant, const std::string& name, const Task& task,
+                                     const PhysicsParams::Folds& p, std::uint64_t first, std::uint64_t end) {
+  const StrainAwayFromGrasps strain(task, p.grasp_radius_m);
+  const double ground = task.scene.ground_height.value_or(-1e300);
+  Worst diverged("diverged", 0.0), crossings("edge/triangle crossings", 0.0), below("below ground m", 0.0);
+  Worst speed("settled speed m/s", task.settle.speed), stretched("strain of the stiff half", 0.05);
+  for (std::uint64_t seed = first; seed < end; ++seed) {
+    const RandomFold fold = random_fold(task, p, seed);
+    const auto simulator = variant.make();
+    FoldResult result;
+    try {
+      result = simulate_fold(*simulator, task, fold.material, fold.controls);
+    } catch (const Diverged&) {
+      diverged.add(seed, 1.0);
+      continue;
+    }
+    if (!result.released) {  // a path that the horizon cuts short: let go where it ends
+      simulator->release();
+      result.settle = simulator->settle(task.settle);
+      result.shapes.back() = simulator->positions();
+    }
+    const Positions& x = result.shapes.back();
+    crossings.add(seed, static_cast<double>(count_intersections(x, task.garment->faces)));
+    below.add(seed, std::max(0.0, ground - x.col(2).minCoeff()));
+    speed.add(seed, result.settle.max_speed);
+    if (fold.material[2] < 0.5) continue;
+    for (const Positions& shape : result.shapes) stretched.add(seed, strain(shape));
+  }
+  std::vector<PhysicsRow> rows;
+  for (const Worst* one : {&diverged, &crossings, &below, &speed, &stretched})
+    rows.push_back(one->row_of(variant, name));
+  return rows;
+}
+
+void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const std::shared_ptr<const Task>& task) {
+  if (!task) return;
+  constexpr std::uint64_t kGroup = 10;
+  const auto first = static_cast<std::uint64_t>(p.folds.first_seed);
+  const auto end = first + static_cast<std::uint64_t>(p.folds.count);
+  for (std::uint64_t from = first; from < end; from += kGroup) {
+    const std::uint64_t to = std::min(end, from + kGroup);
+    const std::string name = "seeds " + std::to_string(from) + " to " + std::to_string(to - 1);
+    cases.push_back({"folds", name, [=](const std::vector<SimulatorVariant>& variants) {
+                       return random_folds(variants[0], name, *task, p.folds, from, to);
+                     }});
+  }
+  // The settled shape of the default fold.
+  const auto settled = [task, horizon = p.folds.horizon](const SimulatorVariant& variant, const MaterialProperties& q) {
+    const auto simulator = variant.make();
+    return simulate_fold(*simulator, *task, q, task->trajectory->default_controls(horizon)).shapes.back();
+  };
+  for (Index k = 0; k < static_cast<Index>(kPropertyNames.size()); ++k) {
+    const std::string name = std::string(kPropertyNames[static_cast<std::size_t>(k)]) + " from 0 to 1";
+    cases.push_back({"properties", name, [=](const std::vector<SimulatorVariant>& variants) {
+                       MaterialProperties low = MaterialProperties::Constant(0.5), high = low;
+                       low[k] = 0.0, high[k] = 1.0;
+                       const double moved = mean_distance_mm(settled(variants[0], low), settled(variants[0], high));
+                       return std::vector<PhysicsRow>{row("properties", variants[0], name, "settled shape moves mm",
+                                                          1.0, moved, 1.0 / moved, 1.0, "at least the reference")};
+                     }});
+  }
+  // A chaotic fold would move by millimetres.
+  for (const double q : {0.0, 0.25, 0.5, 0.75, 1.0}) {
+    const std::string name = text("friction + 0.001 at %g", q);
+    cases.push_back({"properties", name, [=](const std::vector<SimulatorVariant>& variants) {
+                       const PropertyRange& friction = task->material.ranges[0];
+                       MaterialProperties a = MaterialProperties::Constant(0.5), b = a;
+                       a[0] = q;
+                       b[0] = friction.inverse(friction.at(q) + (q < 1.0 ? 0.001 : -0.001));
+                       const double moved = mean_distance_mm(settled(variants[0], a), settled(variants[0], b));
+                       return std::vector<PhysicsRow>{
+                           row("properties", variants[0], name, "settled shape moves mm", 0.0, moved, moved, 0.2)};
+                     }});
+  }
+}
+
 }  // namespace
 
 std::vector<std::string> physics_test_names() {
-  return {"elastica", "orthotropy",     "hanging",   "catenary", "incline",  "cloth on cloth", "thrown sheet",
-          "crease",   "garment crease", "free fall", "rest",     "momentum", "energy",         "refinement"};
+  return {"elastica",     "orthotropy", "hanging",        "catenary",  "incline",    "cloth on cloth",
+          "thrown sheet", "crease",     "garment crease", "folds",     "properties", "free fall",
+          "rest",         "momentum",   "energy",         "refinement"};
 }
 
 std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task) {
@@ -731,6 +884,7 @@ std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_
   add_catenary(all, params);
   add_incline(all, params);
   add_crease(all, params, task);
+  add_folds(all, params, task);
   add_dynamics(all, params);
   if (params.tests.empty()) return all;
   std::vector<PhysicsCase> chosen;

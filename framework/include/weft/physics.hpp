@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "weft/params.hpp"
+#include "weft/random_controls.hpp"
 #include "weft/simulator.hpp"
 #include "weft/task.hpp"
 
@@ -38,6 +39,24 @@ struct PhysicsParams {
   double stretch_n_per_m = 100.0;
   double bend_n_m = 2.0e-5;
   std::vector<std::string> tests;
+  /// Random folds of the task: fold s draws material and controls from seed s alone, so any of them can be replayed.
+  struct Folds {
+    std::int64_t first_seed = 1;
+    std::int64_t count = 200;
+    std::int64_t horizon = 25;
+    double grasp_radius_m = 0.05;
+    RandomControlsParams controls;
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("first_seed", first_seed, range(0, 1000000000), "Seed of the first random fold; the others count up.");
+      v("count", count, range(0, 1000000), "Number of random folds.");
+      v("horizon", horizon, range(1, 1000, "segments"), "Longest path; it ends where the hands let go.");
+      v("grasp_radius_m", grasp_radius_m, range(0, 1, "m"),
+        "Faces with a vertex that lies this close to a grasped one at rest do not count as strained cloth: the strain "
+        "under a point load has no limit.");
+      v.group("controls", controls, "How the random paths are drawn.");
+    }
+  } folds;
 
   template <class Visitor>
   void visit(Visitor& v) {
@@ -48,6 +67,7 @@ struct PhysicsParams {
     v("stretch_n_per_m", stretch_n_per_m, range(0.1, 1e6, "N/m"), "Membrane stiffness of the test fabric, both ways.");
     v("bend_n_m", bend_n_m, range(1e-9, 1, "N m"), "Bending stiffness where the test does not choose it.");
     v("tests", tests, "Names of the tests to run; empty: all.");
+    v.group("folds", folds, "Random folds over the whole material and control range.");
   }
 };
 
@@ -57,7 +77,8 @@ struct PhysicsCase {
   /// @param variants the first is the one under test; the others are its finer steps, for what must not depend on them.
   std::function<std::vector<PhysicsRow>(const std::vector<SimulatorVariant>& variants)> run;
 };
-/// @param task optional: adds the crease of a real garment's fold. @throws ConfigError for an unknown test name.
+/// @param task optional: adds the crease of the task's fold, random folds and what its material properties do. @throws
+/// ConfigError for an unknown test name.
 WEFT_API std::vector<PhysicsCase> physics_cases(const PhysicsParams& params,
                                                 std::shared_ptr<const Task> task = nullptr);
 WEFT_API std::vector<std::string> physics_test_names();

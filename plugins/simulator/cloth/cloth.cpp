@@ -105,7 +105,11 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   pinned_.assign(n, 0);
   for (const Index pin : scene_.pins) pinned_[pin] = 1;
   spectrum_ = largest_frequencies(*elements_, masses_);
-  longest_step_ = stable_step(spectrum_, fabric_.damping_stretch_s, fabric_.damping_bend_s, params_.step_safety);
+  damping_part_ = damping_part(spectrum_, fabric_.damping_stretch_s, fabric_.damping_bend_s, params_.step_safety,
+                               params_.damping_least_step);
+  elements_->scale_damping(damping_part_);
+  longest_step_ = stable_step(spectrum_, damping_part_ * fabric_.damping_stretch_s,
+                              damping_part_ * fabric_.damping_bend_s, params_.step_safety);
   if (params_.self_contact) longest_step_ = std::min(longest_step_, contact_->longest_step(scene_.gravity.norm()));
   floor_ =
       scene_.ground_height ? *scene_.ground_height + fabric_.thickness_m : -std::numeric_limits<double>::infinity();

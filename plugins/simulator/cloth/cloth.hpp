@@ -76,6 +76,7 @@ class Cloth final : public Simulator {
   std::vector<double> masses_;  ///< kg, lumped: a third of the faces around
   std::vector<std::uint8_t> pinned_;
   Spectrum spectrum_;
+  double damping_part_ = 1.0;  ///< of the fabric's stiffness-proportional damping that the step allows
   double longest_step_ = 0.0;  ///< s, at rest
   double floor_ = 0.0;         ///< m, lowest z of a mid-surface; -inf: no ground
 

@@ -193,12 +193,11 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
   }
 }
 
-template <bool kDamped>
+template <bool kDampStretch, bool kDampBend>
 float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces) const {
   const F8 half = splat(0.5f), one = splat(1.0f);
-  const F8 unit = splat(static_cast<float>(unit_));
   const F8 per_unit = splat(static_cast<float>(1.0 / unit_));
-  const F8 damp_stretch = splat(static_cast<float>(fabric_.damping_stretch_s));
+  const F8 damp_stretch = splat(static_cast<float>(fabric_.damping_stretch_s)) * per_unit;
   const F8 damp_bend = splat(static_cast<float>(fabric_.damping_bend_s)) * per_unit;
   F8 largest = one;
   for (const ElementBlock& block : blocks_) {
@@ -219,10 +218,12 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
       largest = max8(largest, mean + _mm256_sqrt_ps(fma(apart, apart, shear * shear)));
     }
     Vec8 rate[5];
-    if constexpr (kDamped) {
+    if constexpr (kDampStretch || kDampBend) {
       const Vec8 v0 = load8(v, block.node[0]);
-      for (int k = 0; k < 5; ++k) rate[k] = load8(v, block.node[k + 1]) - v0;
-      const F8 s = damp_stretch * per_unit;
+      for (int k = 0; k < (kDampBend ? 5 : 2); ++k) rate[k] = load8(v, block.node[k + 1]) - v0;
+    }
+    if constexpr (kDampStretch) {
+      const F8 s = damp_stretch;
       const Vec8 ru = fma(g1, rate[1], g0 * rate[0]), rv = fma(g3, rate[1], g2 * rate[0]);
       e11 = fma(s, dot(fu, ru), e11);
       e22 = fma(s, dot(fv, rv), e22);
@@ -238,13 +239,22 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
     out[2] = fma(g3, pv, g1 * pu);
 
     // Bending: y_k = sum_j w_kj (x_j - x_0), force on node j = -sum_k w_kj y_k. Weights carry sqrt(unit) each way.
-    if constexpr (kDamped)
-      for (int k = 0; k < 5; ++k) d[k] = fma(damp_bend, rate[k], d[k]);
-    (void)unit;
     Vec8 y[3];
     for (int k = 0; k < 3; ++k) {
       y[k] = row(block.bend[k][0]) * d[0];
       for (int j = 1; j < 5; ++j) y[k] = fma(row(block.bend[k][j]), d[j], y[k]);
+    }
+    if constexpr (kDampBend) {
+      // Only along the normal, where curvature lies: turning as a whole changes y across it, and is not damped.
+      Vec8 n = cross(fu, fv);
+      n = (one / _mm256_sqrt_ps(max8(dot(n, n), splat(1e-12f)))) * n;
+      F8 along[5];
+      for (int k = 0; k < 5; ++k) along[k] = dot(rate[k], n);
+      for (int k = 0; k < 3; ++k) {
+        F8 bending = row(block.bend[k][0]) * along[0];
+        for (int j = 1; j < 5; ++j) bending = fma(row(block.bend[k][j]), along[j], bending);
+        y[k] = fma(damp_bend * bending, n, y[k]);
+      }
     }
     for (int j = 1; j < 6; ++j) {
       if (j < 3)
@@ -264,7 +274,9 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
 }
 
 float Elements::add_forces(const Fixed4* x, const Float4* v, Float4* forces) const {
-  return damped() ? add_forces_impl<true>(x, v, forces) : add_forces_impl<false>(x, v, forces);
+  const bool stretch = fabric_.damping_stretch_s > 0.0, bend = fabric_.damping_bend_s > 0.0;
+  if (stretch) return bend ? add_forces_impl<true, true>(x, v, forces) : add_forces_impl<true, false>(x, v, forces);
+  return bend ? add_forces_impl<false, true>(x, v, forces) : add_forces_impl<false, false>(x, v, forces);
 }
 
 std::array<double, 3> Elements::strain(const Double4* x, std::int32_t f) const {

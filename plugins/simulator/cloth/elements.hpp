@@ -56,8 +56,12 @@ class Elements {
   float add_forces(const Fixed4* x, const Float4* v, Float4* forces) const;
   /// Tables only: moduli from the present strain and curvature (secant, lagged to this call).
   void update_moduli(const Double4* x);
+  /// Both stiffness-proportional dampings times `part`.
+  void scale_damping(double part) {
+    fabric_.damping_stretch_s *= part;
+    fabric_.damping_bend_s *= part;
+  }
   bool nonlinear() const { return fabric_.tables != nullptr; }
-  bool damped() const { return fabric_.damping_stretch_s > 0.0 || fabric_.damping_bend_s > 0.0; }
 
   /// Linearised stiffness at the flat rest shape: out = K u for in-plane displacements u [V][2].
   void membrane_stiffness(const std::vector<std::array<double, 2>>& u, std::vector<std::array<double, 2>>& out) const;
@@ -81,7 +85,7 @@ class Elements {
   void make_patch(std::int32_t face, Patch& patch) const;
   void set_bending(std::int32_t face, const BendingModuli& moduli);
   void set_membrane(std::int32_t face, const MembraneModuli& moduli);
-  template <bool kDamped>
+  template <bool kDampStretch, bool kDampBend>
   float add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces) const;
 
   const Topology* topology_;

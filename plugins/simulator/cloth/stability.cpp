@@ -1,5 +1,6 @@
 #include "stability.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace weft::cloth {
@@ -59,6 +60,14 @@ Spectrum largest_frequencies(const Elements& elements, const std::vector<double>
   result.membrane *= kMargin;
   result.bending *= kMargin;
   return result;
+}
+
+double damping_part(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double safety,
+                    double least_step) {
+  const double b = 0.5 * (spectrum.membrane * stretch_damping_s + spectrum.bending * bend_damping_s);
+  if (b <= 0.0 || least_step <= 0.0) return 1.0;
+  const double c = safety * safety, step = least_step * stable_step(spectrum, 0.0, 0.0, safety);
+  return std::min(1.0, c * (1.0 - least_step * least_step) / (step * b));
 }
 
 double stable_step(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double safety) {
