@@ -35,7 +35,7 @@ struct TaskParams {
   struct Settle {
     double speed_m_per_s = 0.005;
     std::int64_t hold_frames = 6;
-    std::int64_t max_frames = 300;
+    std::int64_t max_frames = 900;  // stiff, slippery loops unroll for up to ten seconds
     template <class Visitor>
     void visit(Visitor& v) {
       v("speed_m_per_s", speed_m_per_s, range(1e-5, 1, "m/s"), "Largest vertex speed of a settled cloth.");
