@@ -19,8 +19,8 @@ class ToySimulator final : public Simulator {
     Positions positions;
     bool holds = false;
   };
-  ToySimulator(bool snapshots, std::atomic<int>& steps, double diverge_above)
-      : snapshots_(snapshots), steps_(steps), diverge_above_(diverge_above) {}
+  ToySimulator(bool snapshots, std::atomic<int>& steps, double diverge_above, std::vector<Index>& settled)
+      : snapshots_(snapshots), steps_(steps), diverge_above_(diverge_above), settled_(settled) {}
 
   SimulatorCapabilities capabilities() const override { return {.snapshots = snapshots_}; }
   void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene&) override {
@@ -47,9 +47,11 @@ class ToySimulator final : public Simulator {
   }
   void release(std::span<const Index>) override { holds_ = false; }
   void release() override { holds_ = false; }
-  SettleResult settle(const SettleCriterion&) override {
-    positions_.col(2) *= 0.5;
-    return {.frames = 1, .settled = true};
+  SettleResult settle(const SettleCriterion& criterion) override {
+    const Index frames = std::min<Index>(criterion.max_frames, 40);
+    positions_.col(2) *= std::pow(0.9, static_cast<double>(frames));
+    settled_.push_back(frames);
+    return {.frames = frames, .settled = criterion.max_frames >= 40};
   }
   const Positions& positions() const override { return positions_; }
   const Positions& velocities() const override { return velocities_; }
@@ -72,6 +74,7 @@ class ToySimulator final : public Simulator {
   bool snapshots_;
   std::atomic<int>& steps_;
   double diverge_above_;
+  std::vector<Index>& settled_;
   Positions positions_, velocities_;
   double friction_ = 0, thickness_ = 0;
   bool holds_ = false;
@@ -82,6 +85,7 @@ class ToyHost final : public Host {
   bool snapshots = true;
   double diverge_above = 1e9;
   std::atomic<int> steps{0};
+  std::vector<Index> settled;  ///< frames of every settle()
   int threads() const override { return 1; }
   void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
     for (std::int64_t i = 0; i < count; ++i) body(i);
@@ -93,7 +97,7 @@ class ToyHost final : public Host {
  protected:
   std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override {
     return std::static_pointer_cast<void>(
-        std::static_pointer_cast<Simulator>(std::make_shared<ToySimulator>(snapshots, steps, diverge_above)));
+        std::static_pointer_cast<Simulator>(std::make_shared<ToySimulator>(snapshots, steps, diverge_above, settled)));
   }
 };
 
@@ -163,6 +167,7 @@ Params fine(std::int64_t samples) {
   params.samples = samples;
   params.step = 1e-3;
   params.knowledge_step = 1e-4;
+  params.difference_settle_frames = 0;
   params.difference = "central";
   return params;
 }
@@ -292,6 +297,34 @@ TEST(Rollout, SnapshotsChangeNothingButTheCost) {
   }
   EXPECT_EQ(gradients[0].controls, gradients[1].controls);
   EXPECT_LT(with.host.steps, 0.7 * without.host.steps);
+}
+
+TEST(Rollout, DifferencesAreTakenBeforeTheClothHasSettled) {
+  Params params;
+  params.difference_settle_frames = 12;
+  Bound toy(params), settled(fine(1));
+  const PredictionCase one = toy_case(toy.task);
+  CaseDirection d;
+  d.controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+  d.controls(1, 1) = 1.0;  // dr: moves the hands up and sideways, linearly
+  const auto prediction = toy.predictor->predict({one}, {.gradients = true, .knowledge_gradients = false});
+  const auto whole = settled.predictor->predict({one}, {.gradients = true, .knowledge_gradients = false});
+  const auto slope = prediction->jvp({{d}})[0][0], whole_slope = whole->jvp({{d}})[0][0];
+  // The unperturbed run settles to the end, its 12 first frames counted; the perturbed one ends after 12.
+  EXPECT_EQ(toy.host.settled, (std::vector<Index>{12, 40, 12}));
+  const Positions &early = slope.back().mean, &late = whole_slope.back().mean;
+  EXPECT_LT((early.col(0) - late.col(0)).norm(), 1e-6 * late.col(0).norm());
+  EXPECT_GT(late.col(2).norm(), 1e-6);
+  // Nothing but the heights settles in the toy: those of the derivative are 12 frames old, of shapes and of values
+  // alike.
+  EXPECT_LT((std::pow(0.9, 28) * early.col(2) - late.col(2)).norm(), 1e-6 * late.col(2).norm());
+  for (std::size_t s = 0; s + 1 < slope.size(); ++s)
+    EXPECT_LT((slope[s].mean - whole_slope[s].mean).norm(), 1e-6 * (whole_slope[s].mean.norm() + 1e-6));
+  // pullback() takes the same differences.
+  std::vector<ShapeCotangent> cotangents(one.segments.size());
+  cotangents.back().mean = Positions::Constant(4, 3, 0.7);
+  const double pulled = prediction->pullback({cotangents})[0].controls(1, 1);
+  EXPECT_NEAR(pulled, cotangents.back().mean.cwiseProduct(early).sum(), 1e-9 * std::abs(pulled));
 }
 
 TEST(Rollout, SegmentsAfterReleaseKeepTheSettledShape) {

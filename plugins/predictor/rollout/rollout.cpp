@@ -26,9 +26,11 @@ PropertyVector halton(Index i) {
 struct RolloutPredictor::Run {
   MaterialProperties material = MaterialProperties::Zero();
   std::vector<Positions> shapes;                                    ///< [last requested segment]: after each segment
+  std::vector<Positions> early;                                     ///< the same, released but not yet settled
   std::vector<std::shared_ptr<const SimulatorSnapshot>> snapshots;  ///< at the start of each segment
   std::vector<Vector> states;                                       ///< at the start of each segment
-  Index release = 0;  ///< 1-based segment at whose end the cloth is released; 0: never
+  Index release = 0;       ///< 1-based segment at whose end the cloth is released; 0: never
+  Index early_frames = 0;  ///< of settling in `early`
 };
 
 class RolloutPredictor::Lease {
@@ -78,14 +80,19 @@ class RolloutPrediction final : public Prediction {
       }
     });
     shapes_.resize(cases_.size());
+    early_.resize(cases_.size());
     for (std::size_t i = 0; i < cases_.size(); ++i) {
       for (std::size_t s = 0; s < samples_; ++s) {
         if (failures_[i].empty()) failures_[i] = errors[i * samples_ + s];
       }
       if (!failures_[i].empty()) continue;
-      std::vector<const std::vector<Positions>*> sampled;
-      for (std::size_t s = 0; s < samples_; ++s) sampled.push_back(&runs_[i * samples_ + s].shapes);
+      std::vector<const std::vector<Positions>*> sampled, early;
+      for (std::size_t s = 0; s < samples_; ++s) {
+        sampled.push_back(&runs_[i * samples_ + s].shapes);
+        early.push_back(&runs_[i * samples_ + s].early);
+      }
       shapes_[i] = moments(cases_[i], sampled);
+      if (request_.gradients) early_[i] = moments(cases_[i], early);
     }
   }
 
@@ -203,7 +210,7 @@ class RolloutPrediction final : public Prediction {
     const bool central = owner_.params_.difference == "central" && is_inside(one, direction, -step);
     try {
       const auto there = perturbed_along(i, direction, step, from);
-      const auto back = central ? perturbed_along(i, direction, -step, from) : shapes_[i];
+      const auto back = central ? perturbed_along(i, direction, -step, from) : early_[i];
       const double length = central ? 2.0 * step : step;
       for (std::size_t s = 0; s < there.size(); ++s)
         derivatives.push_back({(there[s].mean - back[s].mean) / length, (there[s].sigma - back[s].sigma) / length});
@@ -245,14 +252,16 @@ class RolloutPrediction final : public Prediction {
   }
 
   /// Simulates from the start of `from` (0-based segment; its snapshot must be taken) to the last requested segment.
+  /// @param settle_frames of a perturbed run. @param record the unperturbed run, which settles to the end.
   void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state,
-               Index release, std::vector<Positions>& shapes, Run* record) const {
+               Index release, Index settle_frames, std::vector<Positions>& shapes, Run* record) const {
     const auto& task = owner_.task_;
     const auto& trajectory = *task.trajectory;
     const Index last = one.segments.empty() ? 0 : one.segments.back();
     for (Index j = from; j < last; ++j) {
       if (release > 0 && j >= release) {  // meaningless segments after the release (section 4): the settled shape stays
         shapes.push_back(shapes.back());
+        if (record) record->early.push_back(record->early.back());
         continue;
       }
       if (record) {
@@ -265,7 +274,17 @@ class RolloutPrediction final : public Prediction {
       state = path.end_state;
       if (j + 1 == release) {
         simulator.release();
-        simulator.settle(task.settle);
+        SettleCriterion settle = task.settle;
+        if (settle_frames > 0) settle.max_frames = std::min(settle.max_frames, settle_frames);
+        const SettleResult early = simulator.settle(settle);
+        if (record) {
+          record->early.push_back(simulator.positions());
+          record->early_frames = early.frames;
+          settle.max_frames = task.settle.max_frames - early.frames;
+          if (!early.settled && settle.max_frames > 0) simulator.settle(settle);
+        }
+      } else if (record) {
+        record->early.push_back(simulator.positions());
       }
       shapes.push_back(simulator.positions());
     }
@@ -279,7 +298,8 @@ class RolloutPrediction final : public Prediction {
     run.release = trajectory.released(states.row(u - 1).transpose()) ? u : 0;
     const Lease lease(owner_);
     owner_.start(*lease, one, run.material);
-    advance(*lease, one, one.controls, 0, one.state, run.release, run.shapes, &run);
+    advance(*lease, one, one.controls, 0, one.state, run.release, owner_.params_.difference_settle_frames, run.shapes,
+            &run);
   }
 
   /// Mean and sigma over the samples, for every requested segment. Sigma adds the declared noise level.
@@ -335,7 +355,8 @@ class RolloutPrediction final : public Prediction {
         first = from;
         shapes[s].assign(run.shapes.begin(), run.shapes.begin() + from);
       }
-      advance(*lease, one, controls, first, state, run.release, shapes[s], nullptr);
+      // As many frames as the unperturbed run: what differs is then the controls' doing alone.
+      advance(*lease, one, controls, first, state, run.release, run.early_frames, shapes[s], nullptr);
       sampled.push_back(&shapes[s]);
     }
     return moments(one, sampled);
@@ -360,7 +381,7 @@ class RolloutPrediction final : public Prediction {
       if (owner_.params_.difference == "central") {
         return (there - perturbed_control(i, segment, control, -step, cotangents)) / (2.0 * step);
       }
-      return (there - dot(shapes_[i], cotangents)) / step;
+      return (there - dot(early_[i], cotangents)) / step;
     } catch (const Diverged&) {
       return std::numeric_limits<double>::quiet_NaN();  // the optimiser counts this evaluation as failed
     }
@@ -386,7 +407,7 @@ class RolloutPrediction final : public Prediction {
       if (owner_.params_.difference == "central" && has_both_sides) {
         return (there - perturbed_knowledge(i, entry, -step, cotangents)) / (2.0 * step);
       }
-      return (there - dot(shapes_[i], cotangents)) / step;
+      return (there - dot(early_[i], cotangents)) / step;
     } catch (const Diverged&) {
       return std::numeric_limits<double>::quiet_NaN();
     }
@@ -398,6 +419,7 @@ class RolloutPrediction final : public Prediction {
   std::size_t samples_;
   std::vector<Run> runs_;  // [cases * samples]
   std::vector<std::vector<ShapeDistribution>> shapes_;
+  std::vector<std::vector<ShapeDistribution>> early_;  // what differences are taken from
   std::vector<std::string> failures_;
 };
 

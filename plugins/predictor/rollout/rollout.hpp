@@ -17,6 +17,7 @@ struct Params {
   double step = 0.25;
   std::string difference = "forward";
   double knowledge_step = 0.05;
+  std::int64_t difference_settle_frames = 12;
   bool carry_velocity = true;
 
   template <class Visitor>
@@ -29,6 +30,8 @@ struct Params {
     v("step", step, range(1e-4, 10), "Finite-difference step of controls, in units of each control's scale.");
     v("difference", difference, choice({"forward", "central"}), "Finite differences of controls and knowledge.");
     v("knowledge_step", knowledge_step, range(1e-4, 0.5), "Finite-difference step of centre and width.");
+    v("difference_settle_frames", difference_settle_frames, range(0, 100000, "frames"),
+      "Frames after the release at which differences are taken: perturbed runs end there; 0: settled like the others.");
     v("carry_velocity", carry_velocity, "Start with the mean velocity since the previous shape, when there is one.");
   }
 };
@@ -37,7 +40,8 @@ struct Params {
 /// differences: the perturbed runs keep the material samples (common random numbers) and start from snapshots of the
 /// unperturbed run taken at the start of each segment, so only what a perturbation changes is simulated again.
 /// The release segment of a perturbed run is that of the unperturbed one, as in eq. 5, where u is fixed for the
-/// gradient.
+/// gradient. Settling takes longer than the fold itself, so perturbed runs end soon after the release and are compared
+/// with the unperturbed one at that moment: shapes are exact, derivatives those of the shape before it has settled.
 class RolloutPredictor final : public Predictor {
  public:
   RolloutPredictor(const Params& params, Host& host);
