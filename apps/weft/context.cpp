@@ -49,6 +49,8 @@ std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugin
   return make_host(std::move(plugins), options);
 }
 
+const std::atomic<bool>* Context::cancel_flag() const { return &interrupted; }
+
 void Context::say(const std::string& line) const {
   if (!quiet && !json) std::cout << line << std::endl;
 }

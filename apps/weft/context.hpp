@@ -1,5 +1,6 @@
 #pragma once
 #include <CLI/CLI.hpp>
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -28,6 +29,8 @@ struct Context {
   /// Registry over `plugin_path` of the config, the environment and the default folders.
   std::shared_ptr<const PluginRegistry> registry(const ConfigNode& config = {}) const;
   std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed) const;
+  /// Set when the user asked to stop, once host() was called.
+  const std::atomic<bool>* cancel_flag() const;
   /// A line for people: nothing with --quiet or --json.
   void say(const std::string& line) const;
 };
@@ -42,6 +45,7 @@ void register_describe(CLI::App& app, Context& context);
 void register_conformance(CLI::App& app, Context& context);
 void register_garment(CLI::App& app, Context& context);
 void register_simulate(CLI::App& app, Context& context);
+void register_ablate(CLI::App& app, Context& context);
 void register_displacement(CLI::App& app, Context& context);
 void register_generate(CLI::App& app, Context& context);
 void register_dataset(CLI::App& app, Context& context);

@@ -20,6 +20,7 @@ int main(int argc, char** argv) {
   register_dataset(app, context);
   register_train(app, context);
   register_evaluate(app, context);
+  register_ablate(app, context);
   register_conformance(app, context);
   register_plugins(app, context);
   register_describe(app, context);

@@ -2,6 +2,7 @@
 
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
+#include "weft/ablation.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {
@@ -13,10 +14,15 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::MatchesRegex;
+using ::testing::Not;
 using ::testing::StartsWith;
 
 Outcome weft_command(const std::string& arguments) {
   return test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + arguments);
+}
+std::string text_of(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
 }
 const std::string kTask = WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold.yaml";
 
@@ -117,6 +123,59 @@ TEST(Program, EvaluatePhysicsWritesWhatItPrints) {
   EXPECT_THAT(unknown.output, HasSubstr("nearest is 'free fall'"));
 }
 
+TEST(Program, AblateComparesArmsAndResumes) {
+  const Folder folder;
+  folder.write("task.yaml", "garment: " WEFT_SOURCE_DIR
+                            "/configs/garments/towel_coarse.yaml\n"
+                            "material: " WEFT_SOURCE_DIR
+                            "/configs/fabrics/basic.yaml\n"
+                            "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
+                            "predictor: {plugin: rollout}\n"
+                            "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n"
+                            "goal: {random: {min_distance_mm: 10}}\n"
+                            "settle: {max_frames: 30}\n");
+  const auto file =
+      folder.write("ablation.yaml",
+                   "task: task.yaml\n"
+                   "factors:\n"
+                   "  planned:\n"
+                   "    \"no\": {}\n"
+                   "    \"yes\": {optimiser: {plugin: mppi, params: {samples: 4}}, planning.iterations: 1}\n"
+                   "seeds: [1]\n");
+  const auto ablate = [&](const std::string& options = "") {
+    return weft_command("ablate '" + file.string() + "' --out '" + (folder / "out").string() + "' --jobs 2 " + options);
+  };
+  const Outcome first = ablate();
+  ASSERT_EQ(first.code, 0) << first.output;
+  EXPECT_THAT(first.output, AllOf(HasSubstr("2 arms, 1 seeds"), HasSubstr("2/2  "), HasSubstr("error_mm")));
+  const std::string csv = text_of(folder / "out" / "ablation.csv");
+  const auto json = nlohmann::json::parse(text_of(folder / "out" / "ablation.json"));
+  EXPECT_EQ(json["arms"][1]["baseline"], "no");
+  EXPECT_EQ(json["arms"][1]["unpaired"], 0);
+  const auto loss = [&](int arm) { return json["arms"][arm]["metrics"]["first_plan_loss"]["mean"].get<double>(); };
+  EXPECT_LE(loss(1), loss(0));
+  EXPECT_GT(json["arms"][1]["metrics"]["evaluations"]["difference"]["mean"].get<double>(), 0.0);
+  const Outcome again = ablate();
+  EXPECT_EQ(again.code, 0);
+  EXPECT_THAT(again.output, Not(HasSubstr("2/2  ")));  // nothing ran
+  EXPECT_EQ(text_of(folder / "out" / "ablation.csv"), csv);
+  const Outcome other = ablate("--set set.planning.noise=0.5");
+  EXPECT_EQ(other.code, 2);
+  EXPECT_THAT(other.output, HasSubstr("another config"));
+  const Outcome wrong = ablate("--set factors.planned.no.optimiser=rpop");
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_THAT(wrong.output, AllOf(HasSubstr("arm 'no'"), HasSubstr("nearest: rprop")));
+}
+
+TEST(Program, ShippedAblationsAreRead) {
+  for (const char* name : {"optimisers", "trajectories", "instances", "horizon", "predictor"}) {
+    const std::filesystem::path file = std::filesystem::path(WEFT_SOURCE_DIR) / "configs/experiments" / name;
+    const AblationPlan plan = read_ablation(ConfigNode::load(file.string() + ".yaml"));
+    EXPECT_GE(plan.arms.size(), 3u) << name;
+    EXPECT_GE(plan.seeds.size(), 3u) << name;
+  }
+}
+
 TEST(Program, PluginsListsEveryShippedPlugin) {
   const Outcome text = weft_command("plugins");
   EXPECT_EQ(text.code, 0);
@@ -131,7 +190,8 @@ TEST(Program, PluginsListsEveryShippedPlugin) {
     EXPECT_EQ(entry.at("refusal"), "") << entry.at("file");
     names += entry.at("kind").get<std::string>() + "/" + entry.at("name").get<std::string>() + " ";
   }
-  for (const char* name : {"simulator/cloth", "predictor/rollout", "trajectory/arc", "optimiser/rprop"}) {
+  for (const char* name : {"simulator/cloth", "predictor/rollout", "trajectory/arc", "trajectory/spline",
+                           "optimiser/rprop", "optimiser/ceres", "optimiser/nlopt", "optimiser/mppi"}) {
     EXPECT_THAT(names, HasSubstr(name));
   }
 }

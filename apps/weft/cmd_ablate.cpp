@@ -1,0 +1,107 @@
+#include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <sstream>
+#include <thread>
+
+#include "context.hpp"
+#include "output.hpp"
+#include "weft/ablation.hpp"
+#include "weft/session.hpp"
+
+namespace weft::app {
+namespace {
+
+std::string slug(const std::string& name) {
+  std::string text;
+  for (const char c : name) {
+    if (std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '.' || c == '_')
+      text += c;
+    else if (!text.empty() && text.back() != '-')
+      text += '-';
+  }
+  return text;
+}
+
+/// Makes everything that a session of this arm makes first, and drops it: what cannot work shows before any work
+/// starts.
+/// @return the arm's config, independent of where its files lie.
+ConfigNode rehearse(const AblationArm& arm, std::uint64_t seed, std::shared_ptr<const PluginRegistry> registry,
+                    const std::filesystem::path& folder) {
+  try {
+    SessionParams params;
+    const ConfigNode resolved = read_params(arm.config, params);
+    const auto host = make_host(registry, {.threads = 1, .seed = seed});
+    const Task task = make_task(params.task, arm.config, *host);
+    if (params.predictor.is_null()) arm.config.fail("predictor is missing; name one, such as {plugin: rollout}");
+    const auto predictor = host->create<Predictor>(params.predictor);
+    predictor->bind(task);
+    const Planner planner(task, predictor, host->create<Optimiser>(params.optimiser), params.planning, *host);
+    return self_contained(resolved, task, *registry, folder);
+  } catch (const Error& error) {
+    throw ConfigError("arm '" + arm.name + "': " + error.what());
+  }
+}
+
+int ablate(const Context& context, const std::string& file) {
+  ConfigNode config = ConfigNode::load(file);
+  for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
+  const AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
+  const auto registry = context.registry(plan.arms.front().config);
+  const auto folder = output_folder(context, std::filesystem::path(file).stem().string());
+  for (std::size_t a = 0; a < plan.arms.size(); ++a) {
+    ConfigNode saved = rehearse(plan.arms[a], plan.seeds.front(), registry, folder);
+    if (saved.at("threads").as_int() == 0) saved = saved.with("threads", ConfigNode::integer(1));
+    write_text(folder / ("arm" + std::to_string(a) + "-" + slug(plan.arms[a].name) + ".yaml"), saved.to_yaml());
+  }
+  write_text(folder / "config.yaml", config.to_yaml());
+
+  const auto host = context.host(registry, plan.seeds.front());  // takes ^C, and names the threads
+  write_text(folder / "provenance.json", provenance_json(*registry, *host, plan.seeds.front()));
+  AblationOptions options;
+  options.folder = folder;
+  options.jobs = host->threads();
+  options.registry = registry;
+  options.cancel = context.cancel_flag();
+  options.progress = [&](const AblationRow& row, std::size_t done, std::size_t total) {
+    std::ostringstream line;
+    line << done << '/' << total << "  " << plan.arms[row.arm].name << ", seed " << row.seed << ": ";
+    if (row.failure.empty()) {
+      char text[80];
+      std::snprintf(text, sizeof text, "%.1f mm, plans %.1f s", row.outcome.metrics.front().second, [&] {
+        for (const auto& [name, value] : row.outcome.metrics)
+          if (name == "plan_seconds") return value;
+        return 0.0;
+      }());
+      line << text;
+    } else {
+      line << "failed: " << row.failure;
+    }
+    context.say(line.str());
+  };
+  context.say(std::to_string(plan.arms.size()) + " arms, " + std::to_string(plan.seeds.size()) + " seeds, " +
+              std::to_string(options.jobs) + " at a time");
+  const auto rows = run_ablation(plan, options);
+  const std::string json = ablation_json(plan, rows);
+  write_text(folder / "ablation.csv", ablation_csv(plan, rows));
+  write_text(folder / "ablation.json", json);
+  if (context.json) std::cout << json;
+  for (const char* metric : {"error_mm", "first_plan_loss", "evaluations", "plan_seconds"})
+    context.say(ablation_table(plan, rows, metric));
+  context.say("results in " + folder.string());
+  const bool complete = rows.size() == plan.arms.size() * plan.seeds.size();
+  if (!complete) context.say("interrupted; the same command finishes it");
+  return complete ? 0 : 1;
+}
+
+}  // namespace
+
+void register_ablate(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("ablate", "Compare sessions over a grid of settings and seeds; resumable");
+  add_common_options(*command, context);
+  auto file = std::make_shared<std::string>();
+  command->add_option("config", *file, "Ablation file, such as configs/experiments/optimisers.yaml")->required();
+  command->callback([&context, file] { context.action = [&context, file] { return ablate(context, *file); }; });
+}
+
+}  // namespace weft::app

@@ -1,0 +1,117 @@
+#pragma once
+#include <atomic>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "weft/params.hpp"
+#include "weft/registry.hpp"
+
+namespace weft {
+
+/// An ablation file: a session config, factors whose levels change it, and the seeds that every combination is run
+/// with.
+struct AblationParams {
+  std::string description;
+  std::filesystem::path task;
+  ConfigNode set, factors, baseline, seeds;
+  std::int64_t resamples = 10000;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("description", description, "What is compared, for people.");
+    v("task", task, "Session config that every arm starts from.");
+    v("set", set, "Keys of the session config, dotted or nested, that every arm changes: {planning.iterations: 80}.");
+    v("factors", factors,
+      "What is compared, by name. A list holds values of the session key that the factor is called after; a mapping "
+      "holds "
+      "levels by name, each a mapping of session keys to values. Every combination of levels is an arm.");
+    v("baseline", baseline,
+      "{factor: level}: each arm is compared with the arm that has these levels and is like it otherwise; default: the "
+      "first "
+      "level of the first factor.");
+    v("seeds", seeds, "A list, or {first: 1, count: 10}.");
+    v("resamples", resamples, range(100, 1e6), "Of the bootstrap.");
+  }
+};
+
+/// One combination of levels.
+struct AblationArm {
+  std::string name;                 ///< levels, comma-separated
+  std::vector<std::string> levels;  ///< one per factor
+  ConfigNode config;                ///< of the session, without a seed
+  std::size_t baseline = 0;         ///< arm it is compared with; itself if it is one
+};
+
+struct AblationPlan {
+  std::string description;
+  std::vector<std::string> factors;
+  std::vector<AblationArm> arms;
+  std::vector<std::uint64_t> seeds;
+  std::int64_t resamples = 10000;
+};
+
+/// @param config as AblationParams; keys of the sessions are not checked here, but every arm's session config is read.
+/// @param first_seed replaces the first seed of {first, count}. @throws ConfigError with file and line.
+WEFT_API AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_seed = nullptr);
+
+using AblationMetrics = std::vector<std::pair<std::string, double>>;
+
+/// What one session measured.
+struct AblationOutcome {
+  AblationMetrics metrics;
+  std::string paired_by;  ///< fingerprint of what must be the same in all arms: goal, start and true material
+};
+
+/// One arm with one seed.
+struct AblationRow {
+  std::size_t arm = 0;
+  std::uint64_t seed = 0;
+  std::string failure;  ///< empty: it ran
+  AblationOutcome outcome;
+};
+
+/// Runs a session. @throws what a session throws.
+using AblationRunner = std::function<AblationOutcome(const ConfigNode& session, Host& host)>;
+WEFT_API AblationOutcome run_session_cell(const ConfigNode& session, Host& host);
+
+struct AblationOptions {
+  std::filesystem::path folder;  ///< rows go into folder/cells
+  int jobs = 1;                  ///< sessions at a time
+  std::shared_ptr<const PluginRegistry> registry;
+  const std::atomic<bool>* cancel = nullptr;
+  AblationRunner runner = run_session_cell;
+  /// Called after every row, one call at a time; done counts rows that were there already.
+  std::function<void(const AblationRow& row, std::size_t done, std::size_t total)> progress;
+};
+
+/// Runs all cells that have no row yet, seed by seed, several at a time; every cell gets a host of its own with the
+/// session's `threads` (0: one thread). A cell writes its row whole or not at all, so a run killed at any moment is
+/// finished by the next one. What a cell throws is its row's failure; the others go on.
+/// @return all rows, [seeds * arms]; fewer when cancelled.
+/// @throws ConfigError when the folder holds rows of another ablation, or a damaged row.
+WEFT_API std::vector<AblationRow> run_ablation(const AblationPlan& plan, const AblationOptions& options);
+
+/// Mean, median, standard deviation, and 95 % intervals of mean and median by the percentile bootstrap [Efron 1979].
+/// NaN where there are too few values.
+struct AblationStatistics {
+  std::size_t n = 0;
+  double mean, median, sd;
+  std::pair<double, double> mean_interval, median_interval;
+};
+/// @param key of the bootstrap's random stream: same values, same key, same bits.
+WEFT_API AblationStatistics ablation_statistics(const std::vector<double>& values, std::int64_t resamples,
+                                                std::uint64_t key);
+
+/// One line per row: factors, seed, status, metrics, failure.
+WEFT_API std::string ablation_csv(const AblationPlan& plan, const std::vector<AblationRow>& rows);
+/// Per arm and metric: statistics, and those of the paired differences to the baseline over the seeds that both ran.
+WEFT_API std::string ablation_json(const AblationPlan& plan, const std::vector<AblationRow>& rows);
+/// A table for people of one metric, over the arms.
+WEFT_API std::string ablation_table(const AblationPlan& plan, const std::vector<AblationRow>& rows,
+                                    const std::string& metric);
+
+}  // namespace weft
