@@ -58,6 +58,7 @@ struct Training {
   double weight_decay = 0.0;
   double clip = 1.0;
   std::int64_t votes = 4;
+  std::int64_t parts = 2;
   std::int64_t batch = 32;
   std::int64_t iterations = 30000;
   std::int64_t max_steps = 25;
@@ -86,6 +87,8 @@ struct Training {
     v("weight_decay", weight_decay, range(0, 1), "Decoupled weight decay (AdamW).");
     v("clip", clip, range(0, 1e6), "Largest norm of the gradient; 0: no limit.");
     v("votes", votes, range(1, 256), "SignSGD: parts of the batch whose gradient signs vote.");
+    v("parts", parts, range(1, 256),
+      "Adam: parts of the batch whose gradients are taken side by side, as threads allow, and added in order.");
     v("batch", batch, range(1, 4096), "Examples per iteration.");
     v("iterations", iterations, range(1, 1e9), "Length of the training.");
     v("max_steps", max_steps, range(1, 200, "segments"), "Longest sub-sequence that is unrolled.");

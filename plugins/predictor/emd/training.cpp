@@ -13,6 +13,7 @@
 #include <cstring>
 #include <nlohmann/json.hpp>
 #include <numeric>
+#include <optional>
 
 #include "inputs.hpp"
 #include "network.hpp"
@@ -25,6 +26,7 @@ namespace {
 using at::Tensor;
 using nlohmann::ordered_json;
 
+constexpr std::size_t kChunks = 64;  // of the weights, for what is done to each of them
 constexpr const char* kCheckpointSchema = "weft emd checkpoint 1";
 
 std::size_t size_of(Index rows, Index columns) { return static_cast<std::size_t>(rows * columns); }
@@ -174,7 +176,7 @@ class Fit {
  public:
   explicit Fit(FitJob& job)
       : job_(job), t_(job.training), model_(job.model), layout_(job.architecture, dimensions(job.task)) {
-    at::set_num_threads(std::max(1, job.host.threads()));
+    at::set_num_threads(1);  // parts of a batch run side by side instead
     train_ = job.dataset.select(Split::train);
     validation_ = job.dataset.select(Split::validation);
     if (t_.max_examples > 0 && static_cast<std::size_t>(t_.max_examples) < train_.size())
@@ -199,7 +201,12 @@ class Fit {
     if (!resume()) begin();
     planned_ = t_.iterations;
     gradients_.assign(layout_.size, 0.0f);
-    const Graph graph(model_, weights_.data(), gradients_.data());
+    const bool is_vote = t_.optimiser == "signsgd";
+    for (std::int64_t p = 0; p < std::min(is_vote ? t_.votes : t_.parts, t_.batch); ++p) {
+      workers_.push_back(std::make_unique<Worker>());
+      workers_.back()->gradients.assign(layout_.size, 0.0f);
+      workers_.back()->graph.emplace(model_, weights_.data(), workers_.back()->gradients.data());
+    }
     make_validation();
     std::string stopped = "iterations";
     bool is_cancelled = false;
@@ -213,7 +220,7 @@ class Fit {
         stopped = "early_stop";
         break;
       }
-      step(graph);
+      step();
       ++iteration_;
       const bool is_last = iteration_ == planned_;
       bool is_wanted = true;
@@ -457,10 +464,11 @@ class Fit {
     double sum = 0.0;            ///< over shapes: mean over coordinates of the negative log-likelihood
     std::vector<double> error;   ///< per shape: mean vertex distance, mm
     std::vector<double> square;  ///< per shape: mean normalised squared error
-    Tensor d_mean, d_log_sigma;  ///< of the mean over shapes
+    Tensor d_mean, d_log_sigma;  ///< of the mean over `total` shapes
   };
   /// Negative log-likelihood per coordinate, (x - mu)^2 / (2 sigma^2) + log sigma, without the constant.
-  Loss loss(const Graph::Output& out, const Batch& batch, bool gradients) const {
+  /// @param total shapes that the gradient is the mean over; 0: no gradient wanted.
+  Loss loss(const Graph::Output& out, const Batch& batch, double total = 0.0) const {
     const at::NoGradGuard guard;
     const auto shapes = static_cast<Index>(batch.wanted.size());
     const Index n = model_.dimensions.coordinates();
@@ -476,8 +484,8 @@ class Fit {
     Loss result;
     const auto* values = terms.data_ptr<float>();
     for (Index w = 0; w < shapes; ++w) result.sum += static_cast<double>(values[w]);
-    if (gradients) {
-      const float scale = 1.0f / static_cast<float>(shapes * n);
+    if (total > 0) {
+      const auto scale = static_cast<float>(1.0 / (total * static_cast<double>(n)));
       // beta-NLL (Seitzer et al. 2022): sigma^(2 beta), taken as a constant, times each term.
       const Tensor weight = t_.beta > 0 ? at::pow(sigma, 2.0 * t_.beta) * scale : Tensor();
       result.d_mean = r / sigma;
@@ -512,45 +520,71 @@ class Fit {
   // --- one iteration
   // -----------------------------------------------------------------------------------------------------
 
-  void step(const Graph& graph) {
+  /// A part of the batch: its own leaves over the same weights, so that parts can be differentiated side by side.
+  struct Worker {
+    std::vector<float> gradients;
+    std::optional<Graph> graph;
+    Batch batch;
+    double loss = 0.0;
+  };
+
+  void step() {
     auto sequences = draw(iteration_);
+    const std::size_t parts = workers_.size();
+    double shapes = 0.0;
+    for (const auto& s : sequences) shapes += static_cast<double>(s.decoded.size());
+    side_by_side(parts, [&](std::size_t p) {
+      auto& worker = *workers_[p];
+      std::vector<Sequence> part;
+      for (std::size_t i = p; i < sequences.size(); i += parts) part.push_back(sequences[i]);
+      worker.batch = make_batch(std::move(part));
+      std::fill(worker.gradients.begin(), worker.gradients.end(), 0.0f);
+      const Graph::Output out = forward(*worker.graph, worker.batch);
+      const Loss l = loss(out, worker.batch, shapes);
+      torch::autograd::backward({out.mean, out.log_sigma}, {l.d_mean, l.d_log_sigma});
+      worker.loss = l.sum;
+    });
+    double sum = 0.0;
+    for (const auto& worker : workers_) sum += worker->loss;
+    add_training_loss(sum / shapes);
     if (t_.optimiser == "signsgd") {
       // Majority vote (Bernstein et al. 2018): the sign of each part's gradient, summed, and the sign of that.
-      std::vector<float> votes(layout_.size, 0.0f);
-      const auto parts = std::min<std::size_t>(static_cast<std::size_t>(t_.votes), sequences.size());
-      double sum = 0.0;
-      for (std::size_t p = 0; p < parts; ++p) {
-        std::vector<Sequence> part;
-        for (std::size_t i = p; i < sequences.size(); i += parts) part.push_back(sequences[i]);
-        sum += gradient(graph, std::move(part));
-        for (std::size_t i = 0; i < votes.size(); ++i)
-          votes[i] += static_cast<float>((gradients_[i] > 0) - (gradients_[i] < 0));
-      }
-      add_training_loss(sum / static_cast<double>(parts));
       const auto rate = static_cast<float>(rate_);
-      for (std::size_t i = 0; i < votes.size(); ++i)
-        weights_[i] -= rate * static_cast<float>((votes[i] > 0) - (votes[i] < 0));
+      in_chunks([&](std::size_t, std::size_t from, std::size_t to) {
+        for (std::size_t i = from; i < to; ++i) {
+          int votes = 0;
+          for (const auto& worker : workers_) votes += (worker->gradients[i] > 0) - (worker->gradients[i] < 0);
+          weights_[i] -= rate * static_cast<float>((votes > 0) - (votes < 0));
+        }
+      });
     } else {
-      add_training_loss(gradient(graph, std::move(sequences)));
       adam();
     }
     if (t_.average > 0) {
       const auto n = static_cast<double>(iteration_);
       const auto keep = static_cast<float>(std::min(t_.average, (1.0 + n) / (10.0 + n)));
-      at::parallel_for(0, static_cast<std::int64_t>(layout_.size), 1 << 16, [&](std::int64_t from, std::int64_t to) {
-        for (auto i = static_cast<std::size_t>(from); i < static_cast<std::size_t>(to); ++i)
-          average_[i] = keep * average_[i] + (1.0f - keep) * weights_[i];
+      in_chunks([&](std::size_t, std::size_t from, std::size_t to) {
+        for (std::size_t i = from; i < to; ++i) average_[i] = keep * average_[i] + (1.0f - keep) * weights_[i];
       });
     }
   }
 
-  double gradient(const Graph& graph, std::vector<Sequence> sequences) {
-    const Batch batch = make_batch(std::move(sequences));
-    std::fill(gradients_.begin(), gradients_.end(), 0.0f);
-    const Graph::Output out = forward(graph, batch);
-    const Loss l = loss(out, batch, true);
-    torch::autograd::backward({out.mean, out.log_sigma}, {l.d_mean, l.d_log_sigma});
-    return l.sum / static_cast<double>(batch.wanted.size());
+  /// body(p) for every part, on the host's threads. Each part's products use one thread.
+  template <class Body>
+  void side_by_side(std::size_t parts, const Body& body) {
+    job_.host.parallel_for(static_cast<std::int64_t>(parts), [&](std::int64_t p) {
+      if (parts > 1) at::init_num_threads();  // libtorch counts threads per thread
+      body(static_cast<std::size_t>(p));
+    });
+  }
+  /// body(chunk, from, to) over the weights. Chunks do not depend on the threads.
+  template <class Body>
+  void in_chunks(const Body& body) {
+    const std::size_t size = (layout_.size + kChunks - 1) / kChunks;
+    job_.host.parallel_for(static_cast<std::int64_t>(kChunks), [&](std::int64_t c) {
+      const std::size_t from = std::min(static_cast<std::size_t>(c) * size, layout_.size);
+      body(static_cast<std::size_t>(c), from, std::min(from + size, layout_.size));
+    });
   }
 
   void add_training_loss(double value) {
@@ -562,9 +596,16 @@ class Fit {
   }
 
   void adam() {
-    double norm = 0.0;
-    for (const float g : gradients_) norm += static_cast<double>(g) * static_cast<double>(g);
-    norm = std::sqrt(norm);
+    std::array<double, kChunks> squares{};
+    in_chunks([&](std::size_t chunk, std::size_t from, std::size_t to) {
+      for (std::size_t i = from; i < to; ++i) {
+        float g = 0.0f;
+        for (const auto& worker : workers_) g += worker->gradients[i];
+        gradients_[i] = g;
+        squares[chunk] += static_cast<double>(g) * static_cast<double>(g);
+      }
+    });
+    const double norm = std::sqrt(std::accumulate(squares.begin(), squares.end(), 0.0));
     const auto clip = static_cast<float>(t_.clip > 0 && norm > t_.clip ? t_.clip / norm : 1.0);
     const double n = static_cast<double>(iteration_) + 1.0;
     const double warm = t_.warmup > 0 ? std::min(1.0, n / static_cast<double>(t_.warmup)) : 1.0;
@@ -576,9 +617,9 @@ class Fit {
     const auto correct2 = static_cast<float>(1.0 / (1.0 - std::pow(kBeta2, n)));
     const auto rate = static_cast<float>(rate_);
     const auto decay = static_cast<float>(rate_ * t_.weight_decay);
-    at::parallel_for(0, static_cast<std::int64_t>(layout_.size), 1 << 16, [&](std::int64_t from, std::int64_t to) {
+    in_chunks([&](std::size_t, std::size_t from, std::size_t to) {
       constexpr float b1 = kBeta1, b2 = kBeta2;
-      for (auto i = static_cast<std::size_t>(from); i < static_cast<std::size_t>(to); ++i) {
+      for (std::size_t i = from; i < to; ++i) {
         const float g = gradients_[i] * clip;
         first_moment_[i] = b1 * first_moment_[i] + (1.0f - b1) * g;
         second_moment_[i] = b2 * second_moment_[i] + (1.0f - b2) * g * g;
@@ -616,15 +657,25 @@ class Fit {
 
   const std::vector<float>& evaluated_weights() const { return t_.average > 0 ? average_ : weights_; }
 
+  std::vector<Loss> validate(const Graph& graph) {
+    std::vector<Loss> losses(validation_batches_.size());
+    side_by_side(losses.size(), [&](std::size_t b) {
+      const at::NoGradGuard guard;
+      losses[b] = loss(forward(graph, validation_batches_[b]), validation_batches_[b]);
+    });
+    return losses;
+  }
+
   void evaluate() {
     evaluated_at_ = iteration_;
-    const at::NoGradGuard guard;
     std::vector<float> weights = evaluated_weights();
     const Graph graph(model_, weights.data(), nullptr);
     double sum = 0.0, error = 0.0;
     std::size_t shapes = 0, ends = 0;
-    for (const auto& batch : validation_batches_) {
-      const Loss l = loss(forward(graph, batch), batch, false);
+    const auto losses = validate(graph);
+    for (std::size_t b = 0; b < losses.size(); ++b) {
+      const auto& batch = validation_batches_[b];
+      const auto& l = losses[b];
       sum += l.sum;
       shapes += batch.wanted.size();
       for (std::size_t w = 0; w < batch.wanted.size(); ++w) {
@@ -703,7 +754,7 @@ class Fit {
     json["seconds"] = r.seconds;
     json["iterations_per_s"] =
         static_cast<double>(iteration_ - first_iteration_) / std::max(1e-9, r.seconds - earlier_seconds_);
-    json["threads"] = at::get_num_threads();
+    json["threads"] = job_.host.threads();
     json["examples"] = {{"train", train_.size()}, {"validation", validation_.size()}};
     json["parameters"] = layout_.size;
     json["dataset"] = job_.dataset.header.identity;
@@ -727,11 +778,12 @@ class Fit {
   void calibrate() {
     model_.calibration.assign(1, 1.0f);
     if (!t_.calibrate) return;
-    const at::NoGradGuard guard;
     const Graph graph(model_, best_weights_.data(), nullptr);
     std::vector<double> sum, count;
-    for (const auto& batch : validation_batches_) {
-      const Loss l = loss(forward(graph, batch), batch, false);
+    const auto losses = validate(graph);
+    for (std::size_t b = 0; b < losses.size(); ++b) {
+      const auto& batch = validation_batches_[b];
+      const auto& l = losses[b];
       for (std::size_t w = 0; w < batch.wanted.size(); ++w) {
         const auto step = static_cast<std::size_t>(batch.wanted[w].step);
         if (sum.size() < step) {
@@ -843,6 +895,7 @@ class Fit {
   std::string identity_;
   std::vector<std::size_t> train_, validation_;
   std::vector<Batch> validation_batches_;
+  std::vector<std::unique_ptr<Worker>> workers_;
   std::vector<float> weights_, gradients_, first_moment_, second_moment_, average_, best_weights_;
   std::int64_t iteration_ = 0, evaluated_at_ = -1, first_iteration_ = 0, planned_ = 0, loss_count_ = 0,
                best_iteration_ = 0, without_best_ = 0;
