@@ -29,6 +29,7 @@ class EmdPrediction final : public Prediction {
       segments_.push_back(one.segments);
       sizes_.emplace_back(one.controls.rows(), one.controls.cols());
       has_previous_.push_back(one.previous != nullptr);
+      widths_.push_back(one.knowledge.width.mean());
     }
     make_inputs(cases);
     make_parts(cases);
@@ -76,6 +77,9 @@ class EmdPrediction final : public Prediction {
 
  private:
   const Model& model() const { return *bound_->model; }
+  Model::SigmaFactor sigma_factor(std::size_t i, Index steps) const {
+    return model().sigma_factor(steps, !has_previous_[i], widths_[i]);
+  }
   const Dimensions& dim() const { return bound_->model->dimensions; }
   const CaseInputs& input(const Part& part, Index row) const {
     return *inputs_[part.cases[static_cast<std::size_t>(row)]];
@@ -180,7 +184,7 @@ class EmdPrediction final : public Prediction {
       shape.mean.resize(dim().vertices, 3);
       shape.sigma.resize(has_sigma ? dim().vertices : 0, 3);
       const float* m = mean.data() + w * static_cast<std::size_t>(n);
-      const float factor = model().sigma_factor(block.wanted[w].step) * kLength;
+      const float factor = sigma_factor(i, block.wanted[w].step).value * kLength;
       for (Index c = 0; c < n; ++c)
         shape.mean.data()[c] = static_cast<double>((m[c] + model().mean[static_cast<std::size_t>(c)]) * kLength);
       if (has_sigma) {
@@ -217,7 +221,10 @@ class EmdPrediction final : public Prediction {
       }
       if (cotangent.sigma.rows() > 0) {
         if (d_sigma.empty()) d_sigma.assign(count, 0.0f);
-        const float factor = model().sigma_factor(block.wanted[w].step) * kLength;
+        const Model::SigmaFactor calibration = sigma_factor(i, block.wanted[w].step);
+        const float factor = calibration.value * kLength;
+        const double d_log = cotangent.sigma.cwiseProduct(shapes_[i][s].sigma).sum();
+        gradients[i].width.array() += d_log * static_cast<double>(calibration.slope) / 4.0;  // through the mean width
         float* d = d_sigma.data() + w * static_cast<std::size_t>(n);
         for (Index c = 0; c < n; ++c) d[c] = static_cast<float>(cotangent.sigma.data()[c]) * factor;
       }
@@ -270,16 +277,21 @@ class EmdPrediction final : public Prediction {
     std::vector<std::size_t> next(directions.size(), 0);
     for (const Index r : rows) {
       const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      const double d_width = directions[i][next[i]].width.mean();
       auto& result = tangents[i][next[i]++];
-      for (const Index segment : segments_[i]) {
+      for (std::size_t s = 0; s < segments_[i].size(); ++s) {
         ShapeCotangent one;
         one.mean.resize(dim().vertices, 3);
         one.sigma.resize(has_sigma ? dim().vertices : 0, 3);
-        const float factor = model().sigma_factor(segment) * kLength;
+        const Model::SigmaFactor calibration = sigma_factor(i, segments_[i][s]);
+        const float factor = calibration.value * kLength;
         for (Index c = 0; c < n; ++c)
           one.mean.data()[c] = static_cast<double>(d_mean[at + static_cast<std::size_t>(c)] * kLength);
         for (Index c = 0; c < one.sigma.size(); ++c)
           one.sigma.data()[c] = static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * factor);
+        if (has_sigma && !shapes_[i].empty()) {
+          one.sigma += static_cast<double>(calibration.slope) * d_width * shapes_[i][s].sigma;
+        }
         at += static_cast<std::size_t>(n);
         result.push_back(std::move(one));
       }
@@ -292,6 +304,7 @@ class EmdPrediction final : public Prediction {
   std::vector<std::vector<Index>> segments_;
   std::vector<std::pair<Index, Index>> sizes_;  // of the controls
   std::vector<bool> has_previous_;
+  std::vector<double> widths_;                             // mean width of the knowledge
   std::vector<std::unique_ptr<const CaseInputs>> inputs_;  // per case; null: nothing to predict
   std::vector<Part> parts_;
   std::vector<std::vector<ShapeDistribution>> shapes_;

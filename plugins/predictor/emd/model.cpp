@@ -96,9 +96,11 @@ Layout::Layout(const Architecture& a, const Dimensions& d) {
   sigma_bias = add("decoder.sigma_bias", 1, n);
 }
 
-float Model::sigma_factor(Index steps) const {
-  if (calibration.empty()) return 1.0f;
-  return calibration[std::min(static_cast<std::size_t>(steps), calibration.size()) - 1];
+Model::SigmaFactor Model::sigma_factor(Index steps, bool from_start, double mean_width) const {
+  const std::size_t length = calibration.size() / 4;
+  const std::size_t at = (from_start ? 0 : 2 * length) + std::min(static_cast<std::size_t>(steps), length) - 1;
+  const float certain = std::log(calibration[at]), unknown = std::log(calibration[at + length]);
+  return {std::exp(certain + static_cast<float>(mean_width) * (unknown - certain)), unknown - certain};
 }
 
 void Model::describe_task(const Task& task) {
@@ -231,7 +233,7 @@ Model untrained_model(Architecture architecture, const Task& task, std::uint64_t
   add(0.0, 0.5);
   for (int p = 0; p < 4; ++p) add(0.5, 0.29);
   for (int p = 0; p < 4; ++p) add(0.33, 0.3);
-  m.calibration = {1.0f};
+  m.calibration.assign(4, 1.0f);
   return m;
 }
 
@@ -275,7 +277,7 @@ void save_model(const std::filesystem::path& path, const Model& model, bool half
   }
   vector("/normalisation/input_mean", stored.input_mean);
   vector("/normalisation/input_sd", stored.input_sd);
-  vector("/calibration", stored.calibration);
+  file.write("/calibration", {2, 2, static_cast<Index>(stored.calibration.size() / 4)}, stored.calibration.data());
   file.write("/checksum", checksum(stored));
   file.write("/garment/name", stored.garment_name);
   file.write("/garment/hash", std::to_string(stored.garment_hash));
@@ -346,10 +348,11 @@ Model load_model(const std::filesystem::path& path) {
   if (std::any_of(m.input_sd.begin(), m.input_sd.end(), [](float x) { return !(x > 1e-12f); }))
     refuse("/normalisation/input_sd must be positive");
   const auto steps = file.shape("/calibration");
-  if (steps.size() != 1 || steps[0] > 1000) refuse("/calibration must be a list");
+  if (steps.size() != 3 || steps[0] != 2 || steps[1] != 2 || steps[2] < 1 || steps[2] > 1000)
+    refuse("/calibration must have the shape [2, 2, steps]");
   m.calibration = read("/calibration", steps);
-  if (std::any_of(m.calibration.begin(), m.calibration.end(), [](float x) { return !(x > 0.0f); }))
-    refuse("/calibration must be positive");
+  if (std::any_of(m.calibration.begin(), m.calibration.end(), [](float x) { return !(x > 1e-3f && x < 1e3f); }))
+    refuse("/calibration must be in (0.001, 1000)");
   if (checksum(m) != file.read_text("/checksum")) refuse("is damaged: the weights do not have the recorded checksum");
   m.garment_name = file.read_text("/garment/name");
   try {

@@ -63,7 +63,9 @@ struct Model {
   std::vector<float> basis;  ///< [coordinates, latent], orthonormal columns; empty without pca_skip and previous_shape
   std::vector<float> scale;  ///< [latent]: latent = (PCA coefficient) / scale
   std::vector<float> input_mean, input_sd;  ///< [inputs]
-  std::vector<float> calibration;  ///< [steps]: sigma after j segments is multiplied by entry j - 1, or the last one
+  /// [2, 2, steps]: factors on sigma after j segments (beyond the last: the last), from the start of a session or from
+  /// within one, with exact knowledge and with none.
+  std::vector<float> calibration;
 
   // What it was trained for.
   std::string garment_name;
@@ -79,8 +81,13 @@ struct Model {
 
   bool needs_basis() const { return architecture.pca_skip || architecture.previous_shape; }
   Index latent_size() const { return architecture.latent + architecture.memory; }
-  /// Factor on sigma after `steps` segments.
-  float sigma_factor(Index steps) const;
+  /// The factor on sigma after `steps` segments. Between exact knowledge and none its logarithm is linear in the mean
+  /// width.
+  struct SigmaFactor {
+    float value = 1.0f;
+    float slope = 0.0f;  ///< d log(value) / d (mean width)
+  };
+  SigmaFactor sigma_factor(Index steps, bool from_start, double mean_width) const;
   /// Takes names and geometry from a task.
   void describe_task(const Task& task);
   /// @throws ConfigError saying which of garment, trajectory, manipulation or material space differs, and both sides.

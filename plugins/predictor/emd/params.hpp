@@ -22,7 +22,7 @@ struct Architecture {
   bool differential_decoding = true;
   bool previous_shape = true;
   std::string activation = "silu";
-  double sigma_floor_m = 0.0002;
+  double sigma_floor_m = 0.00005;
 
   template <class Visitor>
   void visit(Visitor& v) {

@@ -463,7 +463,6 @@ class Fit {
   struct Loss {
     double sum = 0.0;            ///< over shapes: mean over coordinates of the negative log-likelihood
     std::vector<double> error;   ///< per shape: mean vertex distance, mm
-    std::vector<double> square;  ///< per shape: mean normalised squared error
     Tensor d_mean, d_log_sigma;  ///< of the mean over `total` shapes
   };
   /// Negative log-likelihood per coordinate, (x - mu)^2 / (2 sigma^2) + log sigma, without the constant.
@@ -500,13 +499,19 @@ class Fit {
     } else {
       const Tensor distance =
           at::mean(at::sqrt(at::sum(at::square(difference.reshape({shapes, n / 3, 3})), 2)), 1).contiguous();
-      const Tensor squares = at::mean(square, 1).contiguous();
       for (Index w = 0; w < shapes; ++w) {
         result.error.push_back(static_cast<double>(distance.data_ptr<float>()[w]) * kLength * 1e3);
-        result.square.push_back(static_cast<double>(squares.data_ptr<float>()[w]));
       }
     }
     return result;
+  }
+
+  /// (mean - target) / sigma, [shapes, coordinates].
+  Tensor normalised_error(const Graph::Output& out, const Batch& batch) const {
+    const auto shapes = static_cast<Index>(batch.wanted.size());
+    const float floor = static_cast<float>(job_.architecture.sigma_floor_m) / kLength;
+    const Tensor sigma = at::exp(at::clamp_max(out.log_sigma, kLargestLogSigma)) + floor;
+    return (out.mean - view(batch.target.data(), shapes, model_.dimensions.coordinates())) / sigma;
   }
 
   Graph::Output forward(const Graph& graph, const Batch& batch) const {
@@ -648,11 +653,16 @@ class Fit {
       for (Index j = 1; j <= s.steps; ++j) s.decoded.push_back(j);
       all.push_back(s);
     }
+    validation_batches_ = in_batches(all);
+  }
+  std::vector<Batch> in_batches(const std::vector<Sequence>& all) const {
+    std::vector<Batch> batches;
     for (std::size_t i = 0; i < all.size(); i += 32) {
-      validation_batches_.push_back(
-          make_batch({all.begin() + static_cast<std::ptrdiff_t>(i),
-                      all.begin() + static_cast<std::ptrdiff_t>(std::min(i + 32, all.size()))}));
+      const auto first = all.begin() + static_cast<std::ptrdiff_t>(i);
+      batches.push_back(
+          make_batch({first, first + static_cast<std::ptrdiff_t>(std::min<std::size_t>(32, all.size() - i))}));
     }
+    return batches;
   }
 
   const std::vector<float>& evaluated_weights() const { return t_.average > 0 ? average_ : weights_; }
@@ -774,35 +784,87 @@ class Fit {
     r.json = json.dump(2) + "\n";
   }
 
-  /// Per number of segments: the factor that brings the mean normalised squared error on the validation split to 1.
+  /// Factors on sigma, from the validation split: per number of segments, from the flat start and from elsewhere, with
+  /// exact knowledge and with none. Errors have heavier tails than a normal distribution, so that no factor brings both
+  /// the mean normalised squared error to 1 and the share within one sigma to 0.683; it is taken in the middle.
   void calibrate() {
-    model_.calibration.assign(1, 1.0f);
+    model_.calibration.assign(4, 1.0f);
     if (!t_.calibrate) return;
+    constexpr int kFactors = 49;
+    const auto factor = [](int f) { return 0.4 * std::pow(6.25, f / (kFactors - 1.0)); };  // 0.4 to 2.5
+    struct Tally {
+      double shapes = 0.0, square = 0.0;
+      std::array<double, kFactors> inside{};  // share of the coordinates with |error| < factor sigma
+      void add(const Tally& t, double weight) {
+        shapes += weight * t.shapes;
+        square += weight * t.square;
+        for (std::size_t f = 0; f < inside.size(); ++f) inside[f] += weight * t.inside[f];
+      }
+    };
     const Graph graph(model_, best_weights_.data(), nullptr);
-    std::vector<double> sum, count;
-    const auto losses = validate(graph);
-    for (std::size_t b = 0; b < losses.size(); ++b) {
-      const auto& batch = validation_batches_[b];
-      const auto& l = losses[b];
-      for (std::size_t w = 0; w < batch.wanted.size(); ++w) {
-        const auto step = static_cast<std::size_t>(batch.wanted[w].step);
-        if (sum.size() < step) {
-          sum.resize(step, 0.0);
-          count.resize(step, 0.0);
+    const RandomStream streams(job_.options.seed, 0x63616c6962ull);
+    std::vector<std::vector<float>> curves;
+    std::size_t longest = 1;
+    for (const bool from_start : {true, false}) {
+      for (const bool is_certain : {true, false}) {
+        std::vector<Sequence> all;
+        for (const std::size_t i : validation_) {
+          RandomStream random = streams.child(i);
+          const auto& e = example(i);
+          Sequence s;
+          s.example = i;
+          s.start = from_start ? 0 : static_cast<Index>(random.below(static_cast<std::uint64_t>(e.segments())));
+          s.steps = e.segments() - s.start;
+          s.knowledge = is_certain ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
+          for (Index j = 1; j <= s.steps; ++j) s.decoded.push_back(j);
+          all.push_back(s);
         }
-        sum[step - 1] += l.square[w];
-        count[step - 1] += 1.0;
+        const auto batches = in_batches(all);
+        std::vector<std::vector<Tally>> parts(batches.size());
+        side_by_side(batches.size(), [&](std::size_t b) {
+          const at::NoGradGuard guard;
+          const auto& batch = batches[b];
+          const Tensor r = at::abs(normalised_error(forward(graph, batch), batch));
+          const Tensor square = at::mean(r * r, 1).contiguous();
+          std::vector<Tensor> inside;
+          for (int f = 0; f < kFactors; ++f) inside.push_back(at::mean((r < factor(f)).to(at::kFloat), 1).contiguous());
+          parts[b].resize(batch.running.size());
+          for (std::size_t w = 0; w < batch.wanted.size(); ++w) {
+            Tally t{1.0, static_cast<double>(square.data_ptr<float>()[w]), {}};
+            for (std::size_t f = 0; f < inside.size(); ++f)
+              t.inside[f] = static_cast<double>(inside[f].data_ptr<float>()[w]);
+            parts[b][static_cast<std::size_t>(batch.wanted[w].step) - 1].add(t, 1.0);
+          }
+        });
+        std::vector<Tally> steps;
+        for (const auto& part : parts) {
+          steps.resize(std::max(steps.size(), part.size()));
+          for (std::size_t j = 0; j < part.size(); ++j) steps[j].add(part[j], 1.0);
+        }
+        // Few sequences are long: every number of segments leans on 20 shapes like those of its predecessor.
+        auto& curve = curves.emplace_back();
+        for (std::size_t j = 0; j < steps.size(); ++j) {
+          if (j > 0) steps[j].add(steps[j - 1], 20.0 / steps[j - 1].shapes);
+          double best = 1.0, least = std::numeric_limits<double>::infinity();
+          for (int f = 0; f < kFactors; ++f) {
+            const double nse = steps[j].square / steps[j].shapes / (factor(f) * factor(f));
+            const double coverage = steps[j].inside[static_cast<std::size_t>(f)] / steps[j].shapes;
+            const double off = std::max(std::abs(std::log(nse)) / std::log(1.25), std::abs(coverage - 0.683) / 0.06);
+            if (off < least) {
+              least = off;
+              best = factor(f);
+            }
+          }
+          curve.push_back(static_cast<float>(best));
+        }
+        longest = std::max(longest, curve.size());
       }
     }
-    // Few sequences are long: every entry leans on a prior of 20 shapes at its predecessor's value.
-    std::vector<float> factors;
-    double before = 1.0;
-    for (std::size_t j = 0; j < sum.size(); ++j) {
-      const double value = (sum[j] + 20.0 * before) / (count[j] + 20.0);
-      factors.push_back(static_cast<float>(std::sqrt(value)));
-      before = value;
+    model_.calibration.clear();
+    for (auto& curve : curves) {
+      curve.resize(longest, curve.empty() ? 1.0f : curve.back());
+      model_.calibration.insert(model_.calibration.end(), curve.begin(), curve.end());
     }
-    if (!factors.empty()) model_.calibration = factors;
   }
 
   void save_checkpoint() {
