@@ -63,6 +63,7 @@ struct Training {
   std::int64_t iterations = 30000;
   std::int64_t max_steps = 25;
   std::int64_t decoded_steps = 6;
+  double vertex_share = 0.35;
   double start_share = 0.35;
   double certain_share = 0.15;
   double unknown_share = 0.1;
@@ -94,6 +95,8 @@ struct Training {
     v("max_steps", max_steps, range(1, 200, "segments"), "Longest sub-sequence that is unrolled.");
     v("decoded_steps", decoded_steps, range(1, 200),
       "Shapes per sub-sequence that enter the loss: the last one and others drawn at random.");
+    v("vertex_share", vertex_share, range(0.001, 1),
+      "Share of the vertices that enter the loss of an iteration, drawn anew for each: neighbours say much the same.");
     v("start_share", start_share, range(0, 1),
       "Share of the sub-sequences that begin with the flat shape; the others begin anywhere.");
     v("certain_share", certain_share, range(0, 1),

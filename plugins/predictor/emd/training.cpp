@@ -59,9 +59,11 @@ class Graph {
     Tensor mean;       ///< [wanted, coordinates]
     Tensor log_sigma;  ///< raw: before the upper limit and the floor
   };
-  /// @param running rows of each segment; @param rows, @param steps of the wanted shapes.
+  /// @param running rows of each segment.
+  /// @param columns coordinates to decode; undefined: all.
   Output forward(const Tensor& shape, const Tensor& change, const Tensor& inputs, const std::vector<Index>& running,
-                 const std::vector<Block::Wanted>& wanted) const {
+                 const std::vector<Block::Wanted>& wanted, const Tensor& columns = {}) const {
+    const auto some = [&](const Tensor& all) { return columns.defined() ? at::index_select(all, 1, columns) : all; };
     Tensor e = at::addmm(w(layout_.encoder_bias), shape, w(layout_.encoder_shape));
     if (arch_.previous_shape) {
       e = e + at::mm(at::mm(change, project_) * kVelocityGain, w(layout_.encoder_velocity));
@@ -111,17 +113,18 @@ class Graph {
     const Tensor code = at::index_select(at::cat(boundaries), 0, at::tensor(places));
     const Tensor g = f(at::addmm(w(layout_.decoder_bias), code, w(layout_.decoder_in)));
     Output out;
-    out.log_sigma = at::addmm(w(layout_.sigma_bias), g, w(layout_.sigma));
+    out.log_sigma = at::addmm(some(w(layout_.sigma_bias)), g, some(w(layout_.sigma)));
     Tensor latent = code.narrow(1, 0, arch_.latent);
     if (arch_.differential_decoding) {
       const Tensor rows = at::tensor(of_row);
       const Tensor g0 = f(at::addmm(w(layout_.decoder_bias), start, w(layout_.decoder_in)));
-      out.mean = at::addmm(at::index_select(shape, 0, rows), g - at::index_select(g0, 0, rows), w(layout_.mean));
+      out.mean =
+          at::addmm(at::index_select(some(shape), 0, rows), g - at::index_select(g0, 0, rows), some(w(layout_.mean)));
       latent = latent - at::index_select(start, 0, rows).narrow(1, 0, arch_.latent);
     } else {
-      out.mean = at::addmm(w(layout_.mean_bias), g, w(layout_.mean));
+      out.mean = at::addmm(some(w(layout_.mean_bias)), g, some(w(layout_.mean)));
     }
-    if (arch_.pca_skip) out.mean = at::addmm(out.mean, latent, expand_);
+    if (arch_.pca_skip) out.mean = at::addmm(out.mean, latent, some(expand_));
     return out;
   }
 
@@ -147,6 +150,7 @@ struct Batch {
   std::vector<float> shape, change, inputs, target;
   std::vector<Index> running;
   std::vector<Block::Wanted> wanted;
+  std::vector<std::int64_t> columns;  ///< coordinates that enter the loss, ascending; empty: all
   Index rows = 0;
 };
 
@@ -460,6 +464,22 @@ class Fit {
     return sequences;
   }
 
+  /// Coordinates of the vertices that enter the loss of one iteration.
+  std::vector<std::int64_t> draw_columns(std::int64_t iteration) const {
+    std::vector<std::int64_t> columns;
+    if (t_.vertex_share >= 1.0) return columns;
+    const Index vertices = model_.dimensions.vertices;
+    const auto wanted = std::max<Index>(1, std::llround(t_.vertex_share * static_cast<double>(vertices)));
+    RandomStream random(job_.options.seed, 0x636f6c756d6e73ull, static_cast<std::uint64_t>(iteration));
+    Index left = wanted;  // selection sampling: ascending, each set of that size equally likely
+    for (Index v = 0; v < vertices && left > 0; ++v) {
+      if (random.below(static_cast<std::uint64_t>(vertices - v)) >= static_cast<std::uint64_t>(left)) continue;
+      for (Index axis = 0; axis < 3; ++axis) columns.push_back(3 * v + axis);
+      --left;
+    }
+    return columns;
+  }
+
   struct Loss {
     double sum = 0.0;            ///< over shapes: mean over coordinates of the negative log-likelihood
     std::vector<double> error;   ///< per shape: mean vertex distance, mm
@@ -470,13 +490,12 @@ class Fit {
   Loss loss(const Graph::Output& out, const Batch& batch, double total = 0.0) const {
     const at::NoGradGuard guard;
     const auto shapes = static_cast<Index>(batch.wanted.size());
-    const Index n = model_.dimensions.coordinates();
-    const Tensor target = view(batch.target.data(), shapes, n);
+    const Index n = out.mean.size(1);
     const float floor = static_cast<float>(job_.architecture.sigma_floor_m) / kLength;
     const Tensor raw = out.log_sigma.detach();
     const Tensor e = at::exp(at::clamp_max(raw, kLargestLogSigma));
     const Tensor sigma = e + floor;
-    const Tensor difference = out.mean.detach() - target;
+    const Tensor difference = out.mean.detach() - target(batch);
     const Tensor r = difference / sigma;
     const Tensor square = r * r;
     const Tensor terms = at::mean(square * 0.5 + at::log(sigma), 1).contiguous();
@@ -508,10 +527,9 @@ class Fit {
 
   /// (mean - target) / sigma, [shapes, coordinates].
   Tensor normalised_error(const Graph::Output& out, const Batch& batch) const {
-    const auto shapes = static_cast<Index>(batch.wanted.size());
     const float floor = static_cast<float>(job_.architecture.sigma_floor_m) / kLength;
     const Tensor sigma = at::exp(at::clamp_max(out.log_sigma, kLargestLogSigma)) + floor;
-    return (out.mean - view(batch.target.data(), shapes, model_.dimensions.coordinates())) / sigma;
+    return (out.mean - target(batch)) / sigma;
   }
 
   Graph::Output forward(const Graph& graph, const Batch& batch) const {
@@ -519,7 +537,14 @@ class Fit {
     const auto total = static_cast<Index>(batch.inputs.size()) / d.inputs();
     return graph.forward(view(batch.shape.data(), batch.rows, d.coordinates()),
                          view(batch.change.data(), batch.rows, d.coordinates()),
-                         view(batch.inputs.data(), total, d.inputs()), batch.running, batch.wanted);
+                         view(batch.inputs.data(), total, d.inputs()), batch.running, batch.wanted,
+                         batch.columns.empty() ? Tensor() : at::tensor(batch.columns));
+  }
+  /// The shapes that a batch's predictions are compared with, [wanted, columns].
+  Tensor target(const Batch& batch) const {
+    const Tensor all =
+        view(batch.target.data(), static_cast<Index>(batch.wanted.size()), model_.dimensions.coordinates());
+    return batch.columns.empty() ? all : at::index_select(all, 1, at::tensor(batch.columns));
   }
 
   // --- one iteration
@@ -535,6 +560,7 @@ class Fit {
 
   void step() {
     auto sequences = draw(iteration_);
+    const auto columns = draw_columns(iteration_);
     const std::size_t parts = workers_.size();
     double shapes = 0.0;
     for (const auto& s : sequences) shapes += static_cast<double>(s.decoded.size());
@@ -543,6 +569,7 @@ class Fit {
       std::vector<Sequence> part;
       for (std::size_t i = p; i < sequences.size(); i += parts) part.push_back(sequences[i]);
       worker.batch = make_batch(std::move(part));
+      worker.batch.columns = columns;
       std::fill(worker.gradients.begin(), worker.gradients.end(), 0.0f);
       const Graph::Output out = forward(*worker.graph, worker.batch);
       const Loss l = loss(out, worker.batch, shapes);
