@@ -387,10 +387,9 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     store(state_.v[i], _mm256_mul_pd(_mm256_add_pd(load(state_.v[i]), gain), keep));
   }
   if (params_.self_contact && contact_->has_fast())
-    contact_->stop(state_.x.data(), dt, floor_, state_.inverse_mass.data(), state_.v.data());
+    contact_->stop(state_.x.data(), dt, floor_, fabric_.friction, state_.inverse_mass.data(), state_.v.data());
 
-  // Ground, then move. The normal impulse is what keeps the vertex from going below; the tangential one is at most mu
-  // times it, against the motion, and takes all of it where it can: sticking is exactly at rest.
+  // Ground, then move.
   const double mu = fabric_.friction;
   const __m256d step = _mm256_set1_pd(dt), per_unit = _mm256_set1_pd(1.0 / elements_->unit());
   const float dt_float = static_cast<float>(dt);
@@ -409,13 +408,8 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     const double low = xs[i].z, sink = vs[i].z;
     __m256d next = _mm256_fmadd_pd(v, step, x);
     if (low + dt * sink < floor_ && inverse_mass[i] != 0.0f) {
-      const double vx = vs[i].x, vy = vs[i].y;
-      const double allowed = low > floor_ ? (floor_ - low) / dt : 0.0;  // <= 0
-      const double stopped = std::max(0.0, allowed - sink);
-      const double sliding = std::sqrt(vx * vx + vy * vy);
-      const double left = sliding <= mu * stopped ? 0.0 : 1.0 - mu * stopped / sliding;
-      v = _mm256_setr_pd(vx * left, vy * left, std::max(sink, allowed), 0.0);
-      store(vs[i], v);
+      meet_ground(xs[i], dt, floor_, mu, vs[i]);
+      v = load(vs[i]);
       const double z = low > floor_ ? floor_ : std::min(low + std::max(kRise, sink) * dt, floor_);
       next = _mm256_blend_pd(_mm256_fmadd_pd(v, step, x), _mm256_set1_pd(z), 4);
     }

@@ -890,8 +890,20 @@ void SelfContact::add_forces(State& state, const Float4* v, float dt, Float4* fo
   state.touching = touching;
 }
 
-void SelfContact::stop(const Double4* x, double dt, double floor, const float* inverse_mass, Double4* v) const {
-  constexpr int kPasses = 12;
+void SelfContact::stop(const Double4* x, double dt, double floor, double ground_friction, const float* inverse_mass,
+                       Double4* v) const {
+  // The ground's friction changes velocities, too, all the more as the impulses press on the ground. So the ground
+  // comes next, and then the pairs are stopped once more, without pressing.
+  stop_pairs(x, dt, floor, inverse_mass, v, false);
+  for (const std::int32_t index : scratch_.fast)
+    for (const std::int32_t i : scratch_.active[index].v)
+      if (inverse_mass[i] != 0.0f && x[i].z + dt * v[i].z < floor) meet_ground(x[i], dt, floor, ground_friction, v[i]);
+  stop_pairs(x, dt, floor, inverse_mass, v, true);
+}
+
+void SelfContact::stop_pairs(const Double4* x, double dt, double floor, const float* inverse_mass, Double4* v,
+                             bool grounded) const {
+  constexpr int kPasses = 30;
   const double per_dt = 1.0 / dt;
   for (int pass = 0; pass < kPasses; ++pass) {
     bool changed = false;
@@ -917,6 +929,8 @@ void SelfContact::stop(const Double4* x, double dt, double floor, const float* i
         v[a.v[k]].x += s * nx;
         v[a.v[k]].y += s * ny;
         v[a.v[k]].z += s * nz;
+        if (grounded && inverse_mass[a.v[k]] != 0.0f)
+          v[a.v[k]].z = std::max(v[a.v[k]].z, std::min(0.0, (floor - x[a.v[k]].z) * per_dt));
       }
       changed = true;
     }

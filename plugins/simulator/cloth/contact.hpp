@@ -1,4 +1,6 @@
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -8,6 +10,19 @@
 #include "weft/material.hpp"
 
 namespace weft::cloth {
+
+/// Velocity of a vertex that would go below the ground in the step x += dt v. The normal impulse is what keeps it
+/// above; the tangential one is at most mu times it, against the motion, and takes all of it where it can: sticking is
+/// exactly at rest.
+inline void meet_ground(const Double4& x, double dt, double floor, double mu, Double4& v) {
+  const double allowed = x.z > floor ? (floor - x.z) / dt : 0.0;  // <= 0
+  const double stopped = std::max(0.0, allowed - v.z);
+  const double sliding = std::sqrt(v.x * v.x + v.y * v.y);
+  const double left = sliding <= mu * stopped ? 0.0 : 1.0 - mu * stopped / sliding;
+  v.x *= left;
+  v.y *= left;
+  v.z = std::max(v.z, allowed);
+}
 
 /// Contact of the cloth with itself: vertex-triangle and edge-edge pairs.
 ///
@@ -75,7 +90,8 @@ class SelfContact {
   bool has_fast() const { return !scratch_.fast.empty(); }
   /// Inelastic impulses on the velocities so that the pairs that may come closer than half their distance do not, in
   /// the step x += dt v, in which no vertex goes below floor (m).
-  void stop(const Double4* x, double dt, double floor, const float* inverse_mass, Double4* v) const;
+  void stop(const Double4* x, double dt, double floor, double ground_friction, const float* inverse_mass,
+            Double4* v) const;
   /// Longest substep (s) at which a layer under acceleration g (m/s^2) sinks in by at most 8 % of the thickness.
   double longest_step(double g) const;
   /// Empty, with room for a fully folded cloth, so that the frame loop does not allocate.
@@ -118,6 +134,9 @@ class SelfContact {
     std::vector<Active> active;
     std::vector<std::int32_t> fast;  ///< active pairs that may come closer than half their distance
   };
+  /// @param grounded impulses do not press vertices into the ground.
+  void stop_pairs(const Double4* x, double dt, double floor, const float* inverse_mass, Double4* v,
+                  bool grounded) const;
   void make_patches();
   bool nearly_convex(const std::vector<std::int32_t>& faces) const;
   void find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit) const;
