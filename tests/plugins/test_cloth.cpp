@@ -413,6 +413,79 @@ TEST(Cloth, StiffnessProportionalDampingTakesMoreSubstepsAndStaysStable) {
   EXPECT_LT(damped.cloth.diagnostics().max_speed, 3.0);
 }
 
+TEST(Cloth, BendingDampingTakesVibrationAndLeavesTheTurning) {
+  // A bent sheet that turns about the axis it is bent around, in free space: it straightens and vibrates.
+  Fabric f = fabric();
+  f.damping_air_per_s = 0.0;
+  f.bend_warp_n_m = f.bend_weft_n_m = f.bend_bias_n_m = 2e-4;
+  const Garment garment = sheet(11, 5, 0.02, 0.4);
+  std::vector<double> mass(garment.vertex_count(), 0.0);
+  for (Index k = 0; k < garment.face_count(); ++k) {
+    const auto at = [&](int corner) { return garment.rest.row(garment.faces(k, corner)); };
+    const Eigen::RowVector2d u = at(1) - at(0), w = at(2) - at(0);
+    for (int corner = 0; corner < 3; ++corner)
+      mass[garment.faces(k, corner)] += f.density_kg_per_m2 * std::abs(u.x() * w.y() - u.y() * w.x()) / 6.0;
+  }
+  Scene scene;
+  scene.ground_height.reset();
+  scene.gravity = Vec3::Zero();
+  constexpr double kRadius = 0.06, kTurn = 8.0;  // m, rad/s
+  Positions x = garment.positions, v = x;
+  for (Index i = 0; i < x.rows(); ++i) {
+    const double a = (garment.rest(i, 0) - 0.1) / kRadius;
+    x.row(i) << kRadius * std::sin(a), garment.rest(i, 1), kRadius * (1.0 - std::cos(a));
+    v.row(i) << kTurn * x(i, 2), 0.0, -kTurn * x(i, 0);
+  }
+  const auto angular = [&](const Cloth& cloth) {
+    Vec3 sum = Vec3::Zero(), centre = Vec3::Zero();
+    double total = 0.0;
+    for (Index i = 0; i < x.rows(); ++i) {
+      centre += mass[i] * Vec3(cloth.positions().row(i).transpose());
+      total += mass[i];
+    }
+    centre /= total;
+    for (Index i = 0; i < x.rows(); ++i)
+      sum += mass[i] *
+             (Vec3(cloth.positions().row(i).transpose()) - centre).cross(Vec3(cloth.velocities().row(i).transpose()));
+    return sum.y();
+  };
+  double vibration[2];
+  for (const double damping : {0.0, 0.02}) {
+    f.damping_bend_s = damping;
+    Cloth cloth{Params{}};
+    cloth.reset(std::make_shared<const Garment>(garment), f, scene);
+    cloth.set_state(x, v, {});
+    const double start = angular(cloth);
+    for (int k = 0; k < 60; ++k) cloth.step(kNothing);
+    EXPECT_NEAR(angular(cloth) / start, 1.0, 0.01) << "damping " << damping;
+    double kinetic = 0.0;
+    for (Index i = 0; i < x.rows(); ++i) kinetic += 0.5 * mass[i] * cloth.velocities().row(i).squaredNorm();
+    vibration[damping > 0.0] = kinetic;
+  }
+  EXPECT_LT(vibration[1], 0.6 * vibration[0]);
+}
+
+TEST(Cloth, DampingMayShortenTheSubstepToItsShare) {
+  Fabric f = fabric();
+  f.damping_stretch_s = f.damping_bend_s = 0.0;
+  const auto substeps = [&](double least) {
+    Params params;
+    params.damping_least_step = least;
+    params.self_contact = false;
+    Cloth cloth{params};
+    cloth.reset(folding_sheet(), f, Scene());
+    cloth.step(kNothing);
+    return static_cast<double>(cloth.last_substeps());
+  };
+  const double undamped = substeps(0.75);
+  f.damping_stretch_s = 1e-3;
+  EXPECT_NEAR(substeps(0.75) * 0.75, undamped, 1.0);
+  EXPECT_NEAR(substeps(0.5) * 0.5, undamped, 1.0);
+  EXPECT_GT(substeps(0.0), 4.0 * undamped);
+  f.damping_stretch_s = 1e-9;
+  EXPECT_EQ(substeps(0.75), undamped);
+}
+
 TEST(Cloth, RefusalsSayWhatAndWhy) {
   const auto garment = std::make_shared<const Garment>(sheet(4, 4, 0.02));
   Cloth cloth{Params{}};
