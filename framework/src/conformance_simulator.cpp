@@ -264,6 +264,17 @@ Outcome settle_keeps_held_vertices(const Bench& bench) {
   return {(held(*run.sim) - before).cwiseAbs().maxCoeff(), ""};
 }
 
+Outcome settle_can_be_split(const Bench& bench) {
+  const auto settle = [&](Index at_once) {
+    Carry run(bench.make<Simulator>());
+    run.run(0, 12);
+    run.sim->release();
+    for (Index done = 0; done < 10; done += at_once) run.sim->settle({1e-12, 1, at_once});
+    return run.sim;
+  };
+  return {differing_state(*settle(10), *settle(1)), ""};
+}
+
 Outcome set_state_is_taken(const Bench& bench) {
   const auto sim = bench.make<Simulator>();
   sim->reset(sheet(), plain_fabric(), Scene());
@@ -663,6 +674,9 @@ const std::vector<Law>& simulator_laws() {
        2e-3, settles},
       {"settle_keeps_held_vertices", "settle() keeps what is held still, and held (m).", 1e-12,
        settle_keeps_held_vertices},
+      {"settle_can_be_split",
+       "Ten calls of settle() for a frame each go through the states of one call for ten (numbers that differ).", 0,
+       settle_can_be_split},
       {"set_state_is_taken", "set_state() takes the given state and hands, and drops history (numbers that differ).", 0,
        set_state_is_taken},
       {"nothing_sinks", "No vertex sinks below ground + thickness in a drop or a fold (in thicknesses).", 0.05,

@@ -121,6 +121,16 @@ Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Ind
   return controls;
 }
 
+/// Names and units of what the controls and the state are made of.
+std::string trajectory_json(const Trajectory& trajectory) {
+  const auto list = [](const std::vector<Variable>& variables) {
+    auto items = nlohmann::ordered_json::array();
+    for (const auto& variable : variables) items.push_back({{"name", variable.name}, {"unit", variable.unit}});
+    return items;
+  };
+  return nlohmann::ordered_json{{"controls", list(trajectory.controls())}, {"state", list(trajectory.state())}}.dump();
+}
+
 Positions final_shape_of(const std::filesystem::path& session_file, const Garment& garment) {
   const auto file = Hdf5File::open(session_file);
   const auto hash = file.read_text("/garment/hash");
@@ -178,8 +188,16 @@ void SimulatorEnvironment::execute(const SegmentPath& path) {
 SettleResult SimulatorEnvironment::release() {
   const auto started = std::chrono::steady_clock::now();
   simulator_->release();
-  const SettleResult result = simulator_->settle(settle_);
-  record();
+  // A frame at a time, to record each: the same states as in one go (Simulator::settle).
+  const SettleCriterion one_frame{settle_.speed, 1, 1};
+  SettleResult result;
+  for (Index calm = 0; result.frames < settle_.max_frames && calm < settle_.hold_frames; ++result.frames) {
+    const SettleResult now = simulator_->settle(one_frame);
+    calm = now.settled ? calm + 1 : 0;
+    result.max_speed = now.max_speed;
+    result.settled = calm >= settle_.hold_frames;
+    record();
+  }
   seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
   return result;
 }
@@ -419,6 +437,7 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
     file.write("/estimates/centre", centre);
     file.write("/estimates/width", width);
   }
+  file.write("/trajectory", trajectory_json(*task.trajectory));
   std::vector<float> frames;
   for (const auto& frame : result.frames) frames.insert(frames.end(), frame.begin(), frame.end());
   file.write("/frames", {static_cast<Index>(result.frames.size()), garment.vertex_count(), 3}, frames.data());
@@ -449,6 +468,20 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
       mean.insert(mean.end(), m.begin(), m.end());
       sigma.insert(sigma.end(), s.begin(), s.end());
     }
+    // Where the plan would take the hands: what a page needs to draw it without the trajectory plugin.
+    std::vector<float> targets;
+    Vector state = round.state;
+    for (Index j = 0; j < round.plan.controls.rows(); ++j) {
+      const SegmentPath segment =
+          task.trajectory->segment(task.manipulation, state, round.plan.controls.row(j).transpose());
+      for (const auto& points : segment.targets) {
+        const auto p = to_frame(points);
+        targets.insert(targets.end(), p.begin(), p.end());
+      }
+      state = segment.end_state;
+    }
+    file.write(group + "/planned_targets",
+               {round.plan.controls.rows() * kFramesPerSegment, static_cast<Index>(held.size()), 3}, targets.data());
     const std::vector<Index> shape = {static_cast<Index>(round.plan.shapes.size()), garment.vertex_count(), 3};
     file.write(group + "/predicted_mean", shape, mean.data());
     file.write(group + "/predicted_sigma", shape, sigma.data());

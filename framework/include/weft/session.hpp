@@ -46,7 +46,7 @@ class WEFT_API SimulatorEnvironment final : public Environment {
   const Positions& positions() const { return simulator_->positions(); }  ///< the truth
   void execute(const SegmentPath& path) override;
   SettleResult release() override;
-  /// [frames][V * 3], single precision: what the page plays.
+  /// [frames][V * 3], single precision: the start, 12 per executed segment, and every frame of the settling.
   const std::vector<std::vector<float>>& frames() const { return frames_; }
   double seconds() const { return seconds_; }
   double max_grasp_strain() const { return max_grasp_strain_; }

@@ -90,7 +90,7 @@ class WEFT_API Simulator {
   virtual void release(std::span<const Index> vertices) = 0;
   virtual void release() = 0;
 
-  /// Steps with what is held kept still until the criterion is met.
+  /// Steps, what is held kept still, until the criterion is met. Calls of one frame each give the bits of one call.
   virtual SettleResult settle(const SettleCriterion& criterion) = 0;
 
   virtual const Positions& positions() const = 0;   ///< [V, 3] m

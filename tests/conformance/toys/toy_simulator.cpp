@@ -122,6 +122,7 @@ class ToySimulator final : public Simulator {
       result.settled = true;
       return result;
     }
+    if (is("settle_can_be_split")) s_.v.row(0) *= 0.99;
     const Index before = s_.frame;
     Positions keep(static_cast<Index>(s_.held.size()), 3);
     for (std::size_t i = 0; i < s_.held.size(); ++i) keep.row(static_cast<Index>(i)) = s_.x.row(s_.held[i]);
