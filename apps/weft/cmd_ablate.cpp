@@ -6,6 +6,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
+#include "page.hpp"
 #include "weft/ablation.hpp"
 #include "weft/session.hpp"
 
@@ -88,6 +89,7 @@ int ablate(const Context& context, const std::string& file) {
   if (context.json) std::cout << json;
   for (const char* metric : {"error_mm", "first_plan_loss", "evaluations", "plan_seconds"})
     context.say(ablation_table(plan, rows, metric));
+  write_page(context, folder);
   context.say("results in " + folder.string());
   const bool complete = rows.size() == plan.arms.size() * plan.seeds.size();
   if (!complete) context.say("interrupted; the same command finishes it");

@@ -3,6 +3,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
+#include "page.hpp"
 #include "weft/prediction_evaluation.hpp"
 
 namespace weft::app {
@@ -52,6 +53,7 @@ int evaluate(Context& context, const std::string& file, const std::string& data)
     context.say(line);
   }
   if (result.failed > 0) host->log(LogLevel::warning, std::to_string(result.failed) + " cases could not be predicted");
+  write_page(context, out);
   context.say("results in " + out.string());
   return 0;
 }

@@ -4,6 +4,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
+#include "page.hpp"
 #include "weft/session.hpp"
 
 namespace weft::app {
@@ -58,6 +59,7 @@ int run(Context& context, const std::string& file) {
                   result.rounds.front().plan.seconds, replan, estimate);
     context.say(line);
   }
+  write_page(context, folder);
   context.say("results in " + folder.string());
   return result.released ? 0 : 1;
 }

@@ -2,6 +2,7 @@
 #include <exception>
 
 #include "context.hpp"
+#include "exports.hpp"
 #include "weft_commit.hpp"
 
 /// `weft`: parses the command line, runs one command, turns errors into exit codes (0 done, 1 failed, 2 wrong use).
@@ -21,6 +22,7 @@ int main(int argc, char** argv) {
   register_train(app, context);
   register_evaluate(app, context);
   register_ablate(app, context);
+  register_export(app, context);
   register_conformance(app, context);
   register_plugins(app, context);
   register_describe(app, context);

@@ -373,6 +373,7 @@ std::string session_summary_json(const SessionResult& result) {
   summary["default_error_mm"] = result.default_error_mm;
   summary["segments"] = result.rounds.size();
   summary["released"] = result.released;
+  summary["settled"] = result.settle.settled;
   summary["settle_frames"] = result.settle.frames;
   auto plan_seconds = ordered_json::array();
   auto iterations = ordered_json::array();

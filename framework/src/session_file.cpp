@@ -125,6 +125,13 @@ SessionRecord read_session(const std::filesystem::path& path) {
       record.rounds.push_back(read_round(in, "/rounds/" + name, vertices, static_cast<Index>(held.size())));
     }
   }
+  if (in.has("/estimates")) {
+    const Controls centre = in.matrix("/estimates/centre", 4), width = in.matrix("/estimates/width", 4);
+    if (centre.rows() != record.segments() || width.rows() != centre.rows())
+      in.fail("/estimates", "must have one row per segment");
+    for (Index j = 0; j < centre.rows(); ++j)
+      record.estimates.push_back({centre.row(j).transpose(), width.row(j).transpose()});
+  }
   if (record.settle_frames() < 0) {
     in.fail("/frames", "has " + std::to_string(record.frames.size()) + " frames for " +
                            std::to_string(record.segments()) + " segments, must have " +

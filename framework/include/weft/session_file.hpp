@@ -34,6 +34,7 @@ struct SessionRecord {
   MaterialProperties true_material = MaterialProperties::Zero();
   std::vector<Positions> frames;  ///< [12 segments + 1 + settle_frames()]: start, segments, release and settling
   std::vector<RoundRecord> rounds;
+  std::vector<MaterialKnowledge> estimates;  ///< [segments] after each of them; empty when nothing was estimated
 
   Index vertex_count() const { return start.rows(); }
   Index segments() const { return static_cast<Index>(rounds.size()); }

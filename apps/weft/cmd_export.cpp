@@ -1,0 +1,139 @@
+#include <cstdio>
+
+#include "context.hpp"
+#include "exports.hpp"
+#include "output.hpp"
+#include "weft/report.hpp"
+
+namespace weft::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct ExportOptions {
+  std::string session;
+  std::vector<std::string> formats;
+  std::vector<std::string> stills;
+  std::size_t every = 2;
+  std::string view = "perspective";
+  std::string size = "1600x1000";
+  std::string colour = "fabric";
+  bool no_goal = false, no_paths = false;
+  StillOptions still;
+};
+
+/// "120", "last", or "all" with --every. @throws ConfigError.
+std::vector<std::size_t> still_frames(const SessionRecord& session, const ExportOptions& options) {
+  std::vector<std::size_t> frames;
+  for (const auto& text : options.stills) {
+    if (text == "last") {
+      frames.push_back(session.frames.size() - 1);
+    } else if (text == "all") {
+      const auto timeline = every_nth(session, options.every);
+      frames.insert(frames.end(), timeline.frames.begin(), timeline.frames.end());
+    } else if (text.find_first_not_of("0123456789") == std::string::npos && text.size() < 9 && !text.empty() &&
+               std::stoul(text) < session.frames.size()) {
+      frames.push_back(std::stoul(text));
+    } else {
+      throw ConfigError("--png " + text + ": must be last, all, or a frame in [0, " +
+                        std::to_string(session.frames.size() - 1) + "]");
+    }
+  }
+  return frames;
+}
+
+int run_export(Context& context, ExportOptions options) {
+  if (options.formats.empty() && options.stills.empty())
+    throw ConfigError("export: nothing to do; give --to, --png or both");
+  fs::path file = options.session;
+  if (fs::is_directory(file)) file /= "session.h5";
+  if (std::sscanf(options.size.c_str(), "%dx%d", &options.still.width, &options.still.height) != 2 ||
+      options.still.width < 16 || options.still.height < 16 || options.still.width > 8192 ||
+      options.still.height > 8192) {
+    throw ConfigError("--size " + options.size +
+                      ": must be WIDTHxHEIGHT in pixels, such as 1600x1000, each in [16, 8192]");
+  }
+  options.still.view = options.view == "top" ? View::top : options.view == "side" ? View::side : View::perspective;
+  options.still.distance = options.colour == "distance";
+  options.still.goal = !options.no_goal;
+  options.still.paths = !options.no_paths;
+  const SessionRecord session = read_session(file);
+  const auto stills = still_frames(session, options);
+  // One output may be named; several go into a folder.
+  const bool one = options.formats.size() + stills.size() == 1;
+  const fs::path folder = !context.out.empty() && !one ? fs::path(context.out) : file.parent_path();
+  if (!folder.empty()) fs::create_directories(folder);
+  const auto target = [&](const fs::path& name) {
+    return one && !context.out.empty() ? fs::path(context.out) : folder / name;
+  };
+  if (one && fs::path(context.out).has_parent_path()) fs::create_directories(fs::path(context.out).parent_path());
+
+  const auto timeline = every_nth(session, options.every);
+  for (const auto& format : options.formats) {
+    fs::path written;
+    if (format == "gltf") {
+      export_gltf(written = target("session.glb"), session, timeline);
+    } else if (format == "usd") {
+      export_usd(written = target("session.usda"), session, timeline);
+    } else if (format == "obj") {
+      export_obj(written = target("obj"), session, timeline);
+    } else if (format == "csv") {
+      export_csv(written = target("csv"), session, timeline);
+    } else {
+      const auto page = find_report_template();
+      if (page.text.empty()) throw Error("no page can be written: " + page.reason);
+      write_text(written = target("report.html"), session_page(page.text, session));
+    }
+    context.say(written.string());
+  }
+  for (const std::size_t frame : stills) {
+    char name[32];
+    std::snprintf(name, sizeof(name), "frame-%04zu.png", frame);
+    const fs::path written = target(name);
+    const double range = write_still(written, session, frame, options.still);
+    context.say(written.string() +
+                (options.still.distance ? "  (colours: 0 to " + std::to_string(std::lround(range)) + " mm)" : ""));
+  }
+  return 0;
+}
+
+}  // namespace
+
+void register_export(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("export", "Write a recorded session for other programs, or as pictures");
+  auto options = std::make_shared<ExportOptions>();
+  command->add_option("session", options->session, "session.h5, or the folder of a run")->required();
+  command->add_option("--to", options->formats, "gltf, usd, obj, csv or html (repeatable)")
+      ->check(CLI::IsMember({"gltf", "usd", "obj", "csv", "html"}))
+      ->allow_extra_args(false);
+  command
+      ->add_option("--png", options->stills, "Stills: frame numbers, last, or all (with --every); separated by commas")
+      ->delimiter(',')
+      ->allow_extra_args(false);
+  command->add_option("--every", options->every, "Every n-th frame of 1/60 s; the last ones are always there")
+      ->check(CLI::Range(1, 100000))
+      ->capture_default_str();
+  command->add_option("--size", options->size, "Size of the stills in pixels")->capture_default_str();
+  command->add_option("--view", options->view, "Where the stills are seen from")
+      ->check(CLI::IsMember({"perspective", "side", "top"}))
+      ->capture_default_str();
+  command
+      ->add_option("--colour", options->colour,
+                   "Colour of the cloth in stills: its two sides, or its distance to the goal")
+      ->check(CLI::IsMember({"fabric", "distance"}))
+      ->capture_default_str();
+  command
+      ->add_option("--range", options->still.range_mm,
+                   "End of the colour scale of distances, mm; 0: a round number that holds the session")
+      ->check(CLI::Range(0.0, 1e6));
+  command->add_flag("--edges", options->still.edges, "Draw the mesh edges in stills");
+  command->add_flag("--no-goal", options->no_goal, "Leave the goal out of stills");
+  command->add_flag("--no-paths", options->no_paths, "Leave the path of the hands out of stills");
+  command->add_flag("--transparent", options->still.transparent, "No background and no ground in stills");
+  command->add_option("--out", context.out, "File, or folder when several are written; default: beside the session");
+  command->add_flag("--quiet", context.quiet, "Print nothing but errors");
+  command->callback(
+      [&context, options] { context.action = [&context, options] { return run_export(context, *options); }; });
+}
+
+}  // namespace weft::app

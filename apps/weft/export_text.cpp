@@ -1,0 +1,171 @@
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "exports.hpp"
+#include "weft/garment.hpp"
+
+namespace weft::app {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Writes a file whole or not at all.
+class TextFile {
+ public:
+  explicit TextFile(fs::path file) : file_(std::move(file)), temporary_(file_.string() + ".tmp"), stream_(temporary_) {}
+  template <class... Values>
+  void print(const char* format, Values... values) {
+    char text[256];
+    const int size = std::snprintf(text, sizeof(text), format, values...);
+    stream_.write(text, std::min<int>(size, sizeof(text) - 1));
+  }
+  void text(const std::string& text) { stream_ << text; }
+  void commit() {
+    stream_.close();
+    if (!stream_) throw Error(file_.string() + ": cannot be written");
+    fs::rename(temporary_, file_);
+  }
+
+ private:
+  fs::path file_, temporary_;
+  std::ofstream stream_;
+};
+
+fs::path make_folder(const fs::path& folder) {
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (!fs::is_directory(folder))
+    throw ConfigError(folder.string() + ": is no folder that can be made: " + error.message());
+  return folder;
+}
+
+void print_points(TextFile& out, const Positions& positions) {
+  out.text("[");
+  for (Index v = 0; v < positions.rows(); ++v) {
+    out.print("%s(%.7g, %.7g, %.7g)", v > 0 ? ", " : "", positions(v, 0), positions(v, 1), positions(v, 2));
+  }
+  out.text("]");
+}
+
+/// A name as USD allows it.
+std::string identifier(const std::string& name) {
+  std::string result = name.empty() || std::isdigit(static_cast<unsigned char>(name[0])) ? "_" + name : name;
+  for (char& c : result) {
+    if (!std::isalnum(static_cast<unsigned char>(c)) || static_cast<unsigned char>(c) > 127) c = '_';
+  }
+  return result;
+}
+
+}  // namespace
+
+Timeline every_nth(const SessionRecord& session, std::size_t n) {
+  const std::size_t last = session.frames.size() - 1;
+  const auto release = static_cast<std::size_t>(session.segment_frame(session.segments()));
+  Timeline timeline;
+  for (std::size_t frame = 0; frame <= last; ++frame) {
+    if (frame % n != 0 && frame != release && frame != last) continue;
+    timeline.frames.push_back(frame);
+    timeline.seconds.push_back(static_cast<double>(frame) * kFrameSeconds);
+  }
+  return timeline;
+}
+
+void export_usd(const fs::path& file, const SessionRecord& session, const Timeline& timeline) {
+  TextFile out(file);
+  const double end = timeline.seconds.back() / kFrameSeconds;
+  out.print("#usda 1.0\n(\n    defaultPrim = \"weft\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n");
+  out.print("    timeCodesPerSecond = 60\n    framesPerSecond = 60\n    startTimeCode = 0\n    endTimeCode = %g\n)\n\n",
+            end);
+  out.print("def Xform \"weft\"\n{\n");
+  const auto print_mesh = [&](const std::string& name, const Eigen::Vector3d& colour, double opacity) {
+    out.print("    def Mesh \"%s\"\n    {\n", identifier(name).substr(0, 100).c_str());
+    out.print("        uniform token subdivisionScheme = \"none\"\n        uniform bool doubleSided = 1\n");
+    out.print("        color3f[] primvars:displayColor = [(%g, %g, %g)]\n", colour.x(), colour.y(), colour.z());
+    out.print("        float[] primvars:displayOpacity = [%g]\n", opacity);
+    out.text("        int[] faceVertexCounts = [");
+    for (Index f = 0; f < session.faces.rows(); ++f) out.text(f > 0 ? ", 3" : "3");
+    out.text("]\n        int[] faceVertexIndices = [");
+    for (Index f = 0; f < session.faces.rows(); ++f) {
+      out.print("%s%d, %d, %d", f > 0 ? ", " : "", session.faces(f, 0), session.faces(f, 1), session.faces(f, 2));
+    }
+    out.text("]\n        texCoord2f[] primvars:st = [");
+    for (Index v = 0; v < session.rest.rows(); ++v)
+      out.print("%s(%.7g, %.7g)", v > 0 ? ", " : "", session.rest(v, 0), session.rest(v, 1));
+    out.text("] (interpolation = \"vertex\")\n");
+  };
+  print_mesh(session.garment_name, {0.07, 0.26, 0.56}, 1.0);
+  out.text("        point3f[] points.timeSamples = {\n");
+  for (std::size_t k = 0; k < timeline.frames.size(); ++k) {
+    out.print("            %g: ", timeline.seconds[k] / kFrameSeconds);
+    print_points(out, session.frames[timeline.frames[k]]);
+    out.text(",\n");
+  }
+  out.text("        }\n    }\n\n");
+  print_mesh(identifier(session.garment_name) == "goal" ? "goal_shape" : "goal", {0.0, 0.25, 0.12}, 0.4);
+  out.text("        point3f[] points = ");
+  print_points(out, session.goal);
+  out.text("\n    }\n}\n");
+  out.commit();
+}
+
+void export_obj(const fs::path& folder, const SessionRecord& session, const Timeline& timeline) {
+  make_folder(folder);
+  for (const std::size_t frame : timeline.frames) {
+    char name[32];
+    std::snprintf(name, sizeof(name), "%04zu.obj", frame);
+    write_obj(folder / name, {session.frames[frame], session.faces, session.rest, ""});
+  }
+  write_obj(folder / "goal.obj", {session.goal, session.faces, session.rest, ""});
+}
+
+void export_csv(const fs::path& folder, const SessionRecord& session, const Timeline& timeline) {
+  make_folder(folder);
+  TextFile vertices(folder / "vertices.csv");
+  vertices.text("frame,time_s,vertex,x_m,y_m,z_m\n");
+  for (std::size_t k = 0; k < timeline.frames.size(); ++k) {
+    const auto& shape = session.frames[timeline.frames[k]];
+    for (Index v = 0; v < shape.rows(); ++v) {
+      vertices.print("%zu,%.6g,%td,%.7g,%.7g,%.7g\n", timeline.frames[k], timeline.seconds[k], v, shape(v, 0),
+                     shape(v, 1), shape(v, 2));
+    }
+  }
+  vertices.commit();
+
+  TextFile segments(folder / "segments.csv");
+  const auto summary = nlohmann::json::parse(session.summary, nullptr, false);
+  const auto trajectory = nlohmann::json::parse(session.trajectory, nullptr, false);
+  const auto number_of = [&](const char* key, std::size_t i) {
+    const bool there = summary.is_object() && summary.contains(key) && i < summary[key].size();
+    return there ? summary[key][i].get<double>() : std::nan("");
+  };
+  const auto names = [&](const char* kind, Index count) {
+    for (Index c = 0; c < count; ++c) {
+      const auto i = static_cast<std::size_t>(c);
+      const bool named = trajectory.is_object() && trajectory.contains(kind) && i < trajectory[kind].size();
+      segments.text("," +
+                    (named ? trajectory[kind][i]["name"].get<std::string>() : std::string(kind) + std::to_string(c)));
+    }
+  };
+  segments.text("segment,error_mm,predicted_error_mm,plan_seconds,estimate_seconds,plan_segments");
+  if (!session.rounds.empty()) {
+    names("controls", session.rounds[0].controls.cols());
+    names("state", session.rounds[0].state.size());
+  }
+  for (const char* name : kPropertyNames) segments.print(",%s_centre,%s_width", name, name);
+  segments.text("\n");
+  for (std::size_t r = 0; r < session.rounds.size(); ++r) {
+    const auto& round = session.rounds[r];
+    const double error = mean_distance_mm(session.shape_after(static_cast<Index>(r)), session.goal);
+    segments.print("%zu,%.9g,%.9g,%.9g,%.9g,%td", r + 1, error, number_of("predicted_error_mm", r),
+                   number_of("plan_seconds", r), number_of("estimate_seconds", r), round.controls.rows());
+    for (Index c = 0; c < round.controls.cols(); ++c) segments.print(",%.9g", round.controls(0, c));
+    for (Index c = 0; c < round.state.size(); ++c) segments.print(",%.9g", round.state(c));
+    for (Index p = 0; p < 4; ++p) segments.print(",%.9g,%.9g", round.knowledge.centre(p), round.knowledge.width(p));
+    segments.text("\n");
+  }
+  segments.commit();
+}
+
+}  // namespace weft::app

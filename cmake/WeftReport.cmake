@@ -1,0 +1,41 @@
+# Bundles apps/report: copies SOURCE to WORK, fetches packages there, writes OUTPUT/report.html, touches STAMP.
+# A failure is not the build's: OUTPUT/why-not.txt says what happened, and is what commands show. TESTS: also fetch what
+# only the tests need.
+file(REMOVE ${OUTPUT}/report.html ${OUTPUT}/why-not.txt)
+function(give_up reason)
+  file(WRITE ${OUTPUT}/why-not.txt "${reason}; remove ${STAMP} and build again\n")
+  file(TOUCH ${STAMP})
+  message(WARNING "weft writes no report pages: ${reason}")
+endfunction()
+
+file(COPY ${SOURCE}/ DESTINATION ${WORK} PATTERN node_modules EXCLUDE)
+# Packages are fetched anew only when the list of them changed.
+file(SHA256 ${SOURCE}/package-lock.json wanted)
+if(TESTS)
+  set(group include)
+else()
+  set(group omit)
+endif()
+set(wanted "${wanted} ${group} dev")
+set(fetched "")
+if(EXISTS ${WORK}/fetched.txt)
+  file(READ ${WORK}/fetched.txt fetched)
+endif()
+if(NOT fetched STREQUAL wanted)
+  execute_process(COMMAND ${NPM} ci --${group}=dev --no-progress --loglevel=error WORKING_DIRECTORY ${WORK}
+                  OUTPUT_VARIABLE log ERROR_VARIABLE log RESULT_VARIABLE failed)
+  if(failed)
+    message("${log}")
+    give_up("npm could not fetch the packages that the page is made of when weft was built (no network?)")
+    return()
+  endif()
+  file(WRITE ${WORK}/fetched.txt "${wanted}")
+endif()
+execute_process(COMMAND ${NODE} build.mjs ${OUTPUT}/report.html WORKING_DIRECTORY ${WORK}
+                OUTPUT_VARIABLE log ERROR_VARIABLE log RESULT_VARIABLE failed)
+if(failed)
+  message("${log}")
+  give_up("bundling the page failed when weft was built")
+  return()
+endif()
+file(TOUCH ${STAMP})

@@ -1,0 +1,398 @@
+// Writes made-up results, so that tests of pages and exports need no simulator, no model and no time.
+//   make_results session FOLDER [SEGMENTS]   session.h5, summary.json as `weft run` writes them; the fold is a formula
+//   make_results evaluation FOLDER           planning.json, cases.h5, estimation.json, prediction.json
+//   make_results ablation FOLDER             ablation.json
+// and report.html from them, where the page's template is found. docs/report.md describes the files.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <numbers>
+#include <numeric>
+
+#include "weft/hdf5_file.hpp"
+#include "weft/random.hpp"
+#include "weft/registry.hpp"
+#include "weft/report.hpp"
+#include "weft/session.hpp"
+
+namespace {
+
+using namespace weft;
+namespace fs = std::filesystem;
+using json = nlohmann::ordered_json;
+
+constexpr Index kSettleFrames = 60;
+
+double mean_of(const std::vector<double>& values) {
+  return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
+}
+
+double deviation_of(const std::vector<double>& values) {
+  double sum = 0.0;
+  for (const double value : values) sum += (value - mean_of(values)) * (value - mean_of(values));
+  return std::sqrt(sum / static_cast<double>(values.size() - 1));
+}
+
+double quantile(std::vector<double> values, double q) {
+  std::sort(values.begin(), values.end());
+  const double at = q * static_cast<double>(values.size() - 1);
+  const auto low = static_cast<std::size_t>(at);
+  const double next = values[std::min(low + 1, values.size() - 1)];
+  return values[low] + (at - static_cast<double>(low)) * (next - values[low]);
+}
+
+void write_json(const fs::path& file, const json& value) { std::ofstream(file) << value.dump(1) << '\n'; }
+
+/// The shape that a control state stands for: what lies left of the fold line turned about it, a little bent and waved.
+Positions folded(const Task& task, const Vector& state, double wave) {
+  constexpr double kDegree = std::numbers::pi / 180.0;
+  const double angle = std::clamp(state(0), 0.0, 180.0) * kDegree, turn = state(2) * kDegree;
+  const Vec2 direction(std::cos(turn), std::sin(turn));
+  const Vec2 across(-direction.y(), direction.x());
+  const Vec2 hinge(state(3), state(4));
+  Positions shape = task.garment->positions;
+  for (Index v = 0; v < shape.rows(); ++v) {
+    const Vec2 offset = Vec2(shape(v, 0), shape(v, 1)) - hinge;
+    const double u = -offset.dot(direction);
+    double height = 0.001;
+    if (u > 0) {
+      // Rolled up near the hinge, straight further out.
+      const double roll = 0.04, arc = std::min(u / roll, 1.0) * angle;
+      const double radius = angle > 1e-6 ? roll / angle : 1e9;
+      const double x =
+          u < roll || angle <= 1e-6 ? radius * std::sin(arc) : radius * std::sin(angle) + (u - roll) * std::cos(angle);
+      double z = u < roll || angle <= 1e-6 ? radius * (1 - std::cos(arc))
+                                           : radius * (1 - std::cos(angle)) + (u - roll) * std::sin(angle);
+      z *= 1.0 - 0.9 * std::pow(angle / std::numbers::pi, 8);
+      const Vec2 moved = hinge - direction * (angle <= 1e-6 ? u : x) + across * offset.dot(across);
+      shape(v, 0) = moved.x();
+      shape(v, 1) = moved.y();
+      height += angle <= 1e-6 ? 0.0 : z;
+      height += 0.012 * std::sin(angle) * (1 + std::sin(18 * offset.dot(across) + wave)) * std::min(u / 0.2, 1.0);
+    }
+    shape(v, 2) = height;
+  }
+  return shape;
+}
+
+void make_session(const fs::path& folder, Index segments, const Task& task, const ConfigNode& resolved) {
+  const auto& trajectory = *task.trajectory;
+  const auto vertices = task.garment->vertex_count();
+  RandomStream random(1, 1);
+
+  SessionResult result;
+  result.true_material << 0.62, 0.35, 0.71, 0.22;
+  const auto goal_states = [&](double pace, double turn, double shift) {
+    Controls controls = Controls::Zero(segments, static_cast<Index>(trajectory.controls().size()));
+    for (Index j = 0; j < segments; ++j) {
+      const double s = static_cast<double>(j) / static_cast<double>(segments);
+      controls.row(j) << pace, 0.0, turn * std::sin(3 * s), shift * std::cos(2 * s), -shift * s;
+    }
+    return controls;
+  };
+  const double pace = 180.0 / (12.0 * static_cast<double>(segments)) + 1e-9;
+  const Controls goal_controls = goal_states(pace, 0.12, 0.00025);
+  const Controls executed = goal_states(pace, 0.115, 0.00023);
+  const Vector start = trajectory.initial_state(task.manipulation);
+  const Controls goal_path = trajectory.segment_states(task.manipulation, start, goal_controls);
+  result.goal_controls = goal_controls;
+  result.start = folded(task, start, 0);
+  result.goal = folded(task, goal_path.row(segments - 1).transpose(), 0);
+  Vector straight = start;
+  straight(0) = 180;
+  result.default_shape = folded(task, straight, 0.4);
+  result.default_error_mm = mean_distance_mm(result.default_shape, result.goal);
+
+  const auto record = [&](const Positions& shape) {
+    std::vector<float> frame(static_cast<std::size_t>(shape.size()));
+    for (Index i = 0; i < shape.size(); ++i) frame[static_cast<std::size_t>(i)] = static_cast<float>(shape.data()[i]);
+    result.frames.push_back(std::move(frame));
+  };
+  record(result.start);
+  Vector state = start;
+  for (Index r = 0; r < segments; ++r) {
+    SessionRound round;
+    round.state = state;
+    for (Index p = 0; p < 4; ++p) {
+      const double left = std::exp(-0.22 * static_cast<double>(r) * (0.6 + 0.3 * static_cast<double>(p)));
+      round.knowledge.width(p) = 0.12 + 0.88 * left;
+      round.knowledge.centre(p) =
+          result.true_material(p) + (0.5 - result.true_material(p)) * left + 0.03 * (random.uniform() - 0.5);
+    }
+    auto& plan = round.plan;
+    plan.controls = executed.bottomRows(segments - r);
+    for (Index j = 1; j < plan.controls.rows(); ++j) plan.controls(j, 2) += 0.03 * (random.uniform() - 0.5) * 5;
+    plan.horizon = r == 0 ? 25 : plan.controls.rows() + 5;
+    plan.releases = true;
+    const Controls states = trajectory.segment_states(task.manipulation, state, plan.controls);
+    for (Index j = 0; j < plan.controls.rows(); ++j) {
+      ShapeDistribution shape;
+      shape.mean = folded(task, states.row(j).transpose(), 0.15 * static_cast<double>(j));
+      const double spread = 0.001 + 0.0012 * static_cast<double>(j) * round.knowledge.width.mean();
+      shape.sigma = Positions::Constant(vertices, 3, spread);
+      for (Index v = 0; v < vertices; ++v) {
+        const double lifted = std::min(1.0, 8 * shape.mean(v, 2));
+        shape.sigma.row(v) *= 0.3 + 1.4 * lifted;
+        for (Index a = 0; a < 3; ++a) shape.mean(v, a) += 0.4 * shape.sigma(v, a) * (2 * random.uniform() - 1);
+      }
+      plan.shapes.push_back(std::move(shape));
+    }
+    plan.predicted_error_mm = mean_distance_mm(plan.shapes.back().mean, result.goal);
+    const std::size_t instances = 16, iterations = r == 0 ? 80 : 30;
+    std::vector<double> rate(instances), floor(instances);
+    for (std::size_t i = 0; i < instances; ++i) {
+      rate[i] = 0.04 + 0.1 * random.uniform();
+      floor[i] = 12 + 90 * random.uniform() * random.uniform();
+    }
+    for (std::size_t k = 0; k < iterations; ++k) {
+      plan.curves.emplace_back();
+      for (std::size_t i = 0; i < instances; ++i) {
+        plan.curves.back().push_back(floor[i] + (r == 0 ? 1800 : 160) * std::exp(-rate[i] * static_cast<double>(k)));
+      }
+    }
+    plan.losses = plan.curves.back();
+    plan.instance = std::min_element(plan.losses.begin(), plan.losses.end()) - plan.losses.begin();
+    plan.loss = plan.losses[static_cast<std::size_t>(plan.instance)];
+    plan.iterations = static_cast<Index>(iterations);
+    plan.seconds = r == 0 ? 2.31 : 0.45 + 0.3 * random.uniform();
+
+    const Vector control = executed.row(r).transpose();
+    Vector moving = state;
+    for (Index f = 0; f < kFramesPerSegment; ++f) {
+      moving = trajectory.advance(task.manipulation, moving, control);
+      record(folded(task, moving, 0.05 * static_cast<double>(r * 12 + f)));
+    }
+    state = moving;
+    if (r + 1 == segments) {
+      const Positions held = folded(task, state, 0.05 * static_cast<double>(segments * 12));
+      for (Index f = 1; f <= kSettleFrames; ++f) {
+        Positions shape = folded(task, state, 0);
+        const double left = std::exp(-static_cast<double>(f) / 12.0);
+        shape += left * (held - shape);
+        shape.col(2).array() += 0.02 * left * (shape.col(0).array() * 9.0).sin().abs();
+        record(shape);
+      }
+    }
+    const auto& last = result.frames.back();
+    round.observed.resize(vertices, 3);
+    for (Index i = 0; i < round.observed.size(); ++i) round.observed.data()[i] = last[static_cast<std::size_t>(i)];
+    result.rounds.push_back(std::move(round));
+  }
+  for (std::size_t r = 0; r < result.rounds.size(); ++r) {
+    Estimate estimate;
+    estimate.knowledge = result.rounds[std::min(r + 1, result.rounds.size() - 1)].knowledge;
+    estimate.seconds = 0.3 + 0.1 * random.uniform();
+    result.estimates.push_back(std::move(estimate));
+  }
+  result.released = true;
+  result.settle.settled = true;
+  result.settle.frames = kSettleFrames;
+  result.final_shape = result.rounds.back().observed;
+  result.error_mm = mean_distance_mm(result.final_shape, result.goal);
+  result.simulate_seconds = 7.9;
+  result.max_grasp_strain = 0.021;
+  const std::string provenance =
+      R"({"weft": "0.1.0", "commit": "made-up", "compiler": "none", "seed": 1, "threads": 2, "cores": 2, "plugins": [{"kind": "trajectory", "name": "arc", "version": "1.0.0"}]})";
+  write_session(folder / "session.h5", result, task, resolved, provenance);
+  std::ofstream(folder / "summary.json") << session_summary_json(result);
+  std::printf("%td segments, %zu frames, %td vertices, error %.2f mm\n", segments, result.frames.size(), vertices,
+              result.error_mm);
+}
+
+json spread_of(const std::vector<double>& values) {
+  return {{"mean", mean_of(values)}, {"sd", deviation_of(values)}, {"median", quantile(values, 0.5)}};
+}
+
+void make_evaluation(const fs::path& folder, const Task& task) {
+  RandomStream random(2, 2);
+  const auto& trajectory = *task.trajectory;
+  const Index vertices = task.garment->vertex_count();
+  const std::size_t goals = 8;
+  std::vector<Positions> goal_shapes, final_shapes;
+  std::vector<std::int64_t> goal_of;
+  for (std::size_t g = 0; g < goals; ++g) {
+    Vector state = trajectory.initial_state(task.manipulation);
+    state(0) = 180;
+    state(2) += 20 * (random.uniform() - 0.5);
+    state(3) += 0.08 * (random.uniform() - 0.5);
+    goal_shapes.push_back(folded(task, state, 0));
+  }
+  json planning = {{"cases", json::array()}, {"by_width", json::array()}};
+  for (int i = 1; i <= 10; ++i) {
+    const double width = i / 10.0;
+    std::vector<double> errors;
+    for (std::size_t g = 0; g < goals; ++g) {
+      const bool failed = i == 7 && g == 3;
+      const bool outlier = g == 5 && i % 3 == 0;
+      const Vec3 shift = (outlier ? 0.04 : 0.005 + 0.004 * width) * Vec3(random.uniform(), random.uniform() - 0.5, 0.1);
+      Positions shape = goal_shapes[g];
+      for (Index v = 0; v < vertices; ++v) shape.row(v) += (1.0 + shape(v, 1)) * shift.transpose();
+      const double error = mean_distance_mm(shape, goal_shapes[g]);
+      final_shapes.push_back(shape);
+      goal_of.push_back(static_cast<std::int64_t>(g));
+      json one = {{"width", width}, {"goal", g}, {"error_mm", failed ? json() : json(error)}, {"plan_seconds", 0.8}};
+      if (failed) one["failed"] = "made up: the simulation diverged at frame 12";
+      planning["cases"].push_back(one);
+      if (!failed) errors.push_back(error);
+    }
+    const double q1 = quantile(errors, 0.25), q3 = quantile(errors, 0.75);
+    const auto outliers = std::count_if(errors.begin(), errors.end(),
+                                        [&](double e) { return e < q1 - 1.5 * (q3 - q1) || e > q3 + 1.5 * (q3 - q1); });
+    planning["by_width"].push_back({{"width", width},
+                                    {"n", errors.size()},
+                                    {"mean_mm", mean_of(errors)},
+                                    {"median_mm", quantile(errors, 0.5)},
+                                    {"sd_mm", deviation_of(errors)},
+                                    {"q1_mm", q1},
+                                    {"q3_mm", q3},
+                                    {"outliers", outliers}});
+  }
+  write_json(folder / "planning.json", planning);
+  auto file = Hdf5File::create(folder / "cases.h5");
+  file.write("/garment/name", task.garment->name);
+  file.write("/garment/rest", task.garment->rest);
+  const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces =
+      task.garment->faces.cast<std::int64_t>();
+  file.write("/garment/faces", faces);
+  const auto write = [&](const char* path, const std::vector<Positions>& shapes) {
+    std::vector<double> values;
+    for (const auto& shape : shapes) values.insert(values.end(), shape.data(), shape.data() + shape.size());
+    file.write(path, {static_cast<Index>(shapes.size()), vertices, 3}, values.data());
+  };
+  write("/planning/goals", goal_shapes);
+  write("/planning/finals", final_shapes);
+  file.write("/planning/goal_of", {static_cast<Index>(goal_of.size())}, goal_of.data());
+  file.commit();
+
+  json estimation = {{"properties", json::object()}, {"cases", json::array()}};
+  std::vector<std::vector<double>> errors(4), widths(4);
+  for (int i = 0; i < 50; ++i) {
+    json one = {{"true_material", json::array()}, {"knowledge", json::array()}};
+    std::vector<double> truth, drift;
+    for (std::size_t p = 0; p < 4; ++p) {
+      truth.push_back(random.uniform());
+      drift.push_back(0.16 * (random.uniform() - 0.5));
+    }
+    one["true_material"] = truth;
+    for (int j = 0; j <= 12; ++j) {
+      std::vector<double> centre, width;
+      for (std::size_t p = 0; p < 4; ++p) {
+        const double left = std::exp(-0.35 * j);
+        centre.push_back(truth[p] + drift[p] + (0.5 - truth[p] - drift[p]) * left);
+        width.push_back(0.18 + 0.82 * left);
+        if (j == 12) errors[p].push_back(std::abs(centre[p] - truth[p])), widths[p].push_back(width[p]);
+      }
+      one["knowledge"].push_back({{"centre", centre}, {"width", width}});
+    }
+    estimation["cases"].push_back(one);
+  }
+  for (std::size_t p = 0; p < 4; ++p) {
+    json coverage;
+    for (const auto& [name, share] : {std::pair{"0.5", 0.5}, std::pair{"0.8", 0.8}, std::pair{"1", 1.0}}) {
+      double inside = 0;
+      for (std::size_t i = 0; i < errors[p].size(); ++i) inside += errors[p][i] <= share * widths[p][i] / 2;
+      coverage[name] = inside / static_cast<double>(errors[p].size());
+    }
+    estimation["properties"][kPropertyNames[p]] = {{"abs_error", spread_of(errors[p])},
+                                                   {"width", spread_of(widths[p])},
+                                                   {"failure_rate", 0.02 * static_cast<double>(p)},
+                                                   {"coverage", coverage},
+                                                   {"interval_score", 0.3}};
+  }
+  estimation["cases"].push_back({{"seed", 51}, {"failed", "made up: none of 50 random trajectories was released"}});
+  for (const char* source : {"test", "train"}) {
+    for (const char* method : {"posterior", "plain"})
+      estimation["columns"][source][method] = {{"n", 50}, {"properties", estimation["properties"]}};
+  }
+  write_json(folder / "estimation.json", estimation);
+
+  json prediction = {{"by_step", json::array()}};
+  const auto figures = [](double mm) {
+    return json{
+        {"n", 40},    {"mean_mm", mm},     {"median_mm", 0.8 * mm}, {"nll", 1.1 + 0.05 * mm}, {"coverage_1sigma", 0.66},
+        {"nse", 1.1}, {"sigma_mm", mm / 2}};
+  };
+  for (int step = 1; step <= 12; ++step) {
+    json row = figures(1.5 + 0.5 * step);
+    row["steps"] = step;
+    row["coverage_1sigma"] = 0.72 - 0.01 * step;
+    prediction["by_step"].push_back(row);
+  }
+  prediction["settled"] = {{"from_start", figures(6.1)}, {"from_random", figures(4.4)}, {"no_knowledge", figures(8.2)}};
+  prediction["baselines"] = {{"no_change", {{"n", 40}, {"mean_mm", 210.0}, {"median_mm", 200.0}}},
+                             {"linear", {{"n", 40}, {"mean_mm", 31.0}, {"median_mm", 27.0}}}};
+  write_json(folder / "prediction.json", prediction);
+}
+
+void make_ablation(const fs::path& folder) {
+  RandomStream random(3, 3);
+  json arms = json::array();
+  const auto statistics = [](double value, double half) {
+    return json{{"n", 19},
+                {"mean", value},
+                {"median", 0.9 * value},
+                {"sd", 2 * half},
+                {"mean_95", {value - half, value + half}},
+                {"median_95", {0.9 * value - half, 0.9 * value + half}}};
+  };
+  for (const std::string instances : {"1", "4", "16"}) {
+    double error0 = 0.0, seconds0 = 0.0;
+    for (const std::string optimiser : {"rprop", "ceres", "nlopt", "mppi"}) {
+      const double count = std::stod(instances);
+      const double error = 12.0 / std::sqrt(count) + 4 + 3 * random.uniform();
+      const double seconds = 0.12 * count + 0.1 * random.uniform();
+      json metrics = {{"error_mm", statistics(error, 0.8)},
+                      {"evaluations", statistics(1200 * count, 30)},
+                      {"plan_seconds", statistics(seconds, 0.05)},
+                      {"simulate_seconds", statistics(3, 0.1)}};
+      const bool baseline = optimiser == "rprop";
+      if (baseline) {
+        error0 = error;
+        seconds0 = seconds;
+      } else {
+        metrics["error_mm"]["difference"] = statistics(error - error0, 0.6);
+        metrics["plan_seconds"]["difference"] = statistics(seconds - seconds0, 0.04);
+      }
+      json failed = json::array();
+      if (optimiser == "mppi") failed.push_back({{"seed", 4}, {"failure", "made up: the simulation diverged"}});
+      arms.push_back({{"name", optimiser + ", " + instances},
+                      {"levels", {{"optimiser", optimiser}, {"planning.instances", instances}}},
+                      {"done", 20 - failed.size()},
+                      {"failed", failed},
+                      {"baseline", baseline ? json() : json("rprop, " + instances)},
+                      {"unpaired", 0},
+                      {"metrics", metrics}});
+    }
+  }
+  json seeds = json::array();
+  for (int seed = 1; seed <= 20; ++seed) seeds.push_back(seed);
+  write_json(folder / "ablation.json", {{"description", "made-up comparison of optimisers"},
+                                        {"factors", {"optimiser", "planning.instances"}},
+                                        {"seeds", seeds},
+                                        {"complete", true},
+                                        {"arms", arms}});
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  const std::string kind = argc > 2 ? argv[1] : "";
+  if (kind != "session" && kind != "evaluation" && kind != "ablation") return 2;
+  const fs::path folder = argv[2];
+  fs::create_directories(folder);
+  const auto registry = std::make_shared<PluginRegistry>();
+  const auto host = make_host(registry, {});
+  const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold.yaml");
+  SessionParams params;
+  const ConfigNode resolved = read_params(config, params);
+  const Task task = make_task(params.task, config, *host);
+  if (kind == "session") make_session(folder, argc > 3 ? std::atoi(argv[3]) : 20, task, resolved);
+  if (kind == "evaluation") make_evaluation(folder, task);
+  if (kind == "ablation") make_ablation(folder);
+  const std::string reason = write_report(folder);
+  if (!reason.empty()) std::printf("no report.html: %s\n", reason.c_str());
+  return 0;
+}
