@@ -87,7 +87,7 @@ int ablate(const Context& context, const std::string& file) {
   write_text(folder / "ablation.csv", ablation_csv(plan, rows));
   write_text(folder / "ablation.json", json);
   if (context.json) std::cout << json;
-  for (const char* metric : {"error_mm", "first_plan_loss", "evaluations", "plan_seconds"})
+  for (const char* metric : {"error_mm", "first_plan_loss", "evaluations", "cpu_seconds"})
     context.say(ablation_table(plan, rows, metric));
   write_page(context, folder);
   context.say("results in " + folder.string());

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cmath>
 #include <cstdio>
+#include <ctime>
 #include <fstream>
 #include <map>
 #include <mutex>
@@ -32,6 +33,12 @@ std::string hex(std::uint64_t value) {
   char text[20];
   std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(value));
   return text;
+}
+
+double thread_cpu_seconds() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
 }
 
 /// A level: what it is called and what it changes.
@@ -346,7 +353,10 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
 AblationOutcome run_session_cell(const ConfigNode& config, Host& host) {
   SessionParams params;
   read_params(config, params);
+  const double cpu_before = thread_cpu_seconds();
   const SessionResult result = run_session(params, config, host);
+  // With one thread everything but the solvers' own arithmetic runs here, so that others on the machine do not count.
+  const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
   AblationOutcome outcome;
   std::uint64_t hash = fnv(result.goal.data(), sizeof(double) * static_cast<std::size_t>(result.goal.size()));
   hash = fnv(result.start.data(), sizeof(double) * static_cast<std::size_t>(result.start.size()), hash);
@@ -373,6 +383,7 @@ AblationOutcome run_session_cell(const ConfigNode& config, Host& host) {
       {"iterations", iterations},
       {"plan_seconds", seconds},
       {"simulate_seconds", result.simulate_seconds},
+      {"cpu_seconds", cpu_seconds},
   };
   return outcome;
 }

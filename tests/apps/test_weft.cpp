@@ -168,7 +168,7 @@ TEST(Program, AblateComparesArmsAndResumes) {
 }
 
 TEST(Program, ShippedAblationsAreRead) {
-  for (const char* name : {"optimisers", "trajectories", "instances", "horizon", "predictor"}) {
+  for (const char* name : {"optimisers", "optimisers_coarse", "trajectories", "instances", "horizon", "predictor"}) {
     const std::filesystem::path file = std::filesystem::path(WEFT_SOURCE_DIR) / "configs/experiments" / name;
     const AblationPlan plan = read_ablation(ConfigNode::load(file.string() + ".yaml"));
     EXPECT_GE(plan.arms.size(), 3u) << name;
