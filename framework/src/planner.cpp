@@ -54,16 +54,24 @@ Controls states_pullback(const Task& task, const Vector& start, const Controls& 
 /// Eq. 4 on a batch of decision vectors.
 class PlanningObjective final : public Objective {
  public:
-  PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params,
+  PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params, const Vector& weights,
                     const PlanRequest& request, Index horizon)
-      : task_(task), predictor_(predictor), params_(params), request_(request), horizon_(horizon) {}
+      : task_(task),
+        predictor_(predictor),
+        params_(params),
+        weights_(weights),
+        request_(request),
+        horizon_(horizon),
+        moments_(params.loss == "expected" ? Moments::mean_and_sigma : Moments::mean),
+        range_(predictor.control_range()) {}
 
   Index dim() const override { return task_.trajectory->decision_size(horizon_); }
-  /// Residuals: the shape's (3 V), then those of the activity loss. Cost = 1/2 |r|^2 up to rounding.
+  /// Residuals: the shape's (3 V; as many of sigma with loss: expected), then those of the activity loss.
+  /// Cost = 1/2 |r|^2 up to rounding.
   ObjectiveCapabilities capabilities() const override {
     const auto controls = static_cast<Index>(task_.trajectory->controls().size());
     return {.gradients = predictor_.capabilities().gradients,
-            .residuals = request_.goal->size() + (horizon_ - 1) * controls + horizon_};
+            .residuals = shape_rows() + (horizon_ - 1) * controls + horizon_};
   }
 
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
@@ -74,7 +82,7 @@ class PlanningObjective final : public Objective {
     const Index n = x.cols();
     std::vector<PredictionCase> cases;
     for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
-    const auto prediction = predictor_.predict(cases, {.moments = Moments::mean,
+    const auto prediction = predictor_.predict(cases, {.moments = moments_,
                                                        .gradients = wanted.gradients || uses_jvp(wanted),
                                                        .control_gradients = true,
                                                        .knowledge_gradients = false});
@@ -91,14 +99,21 @@ class PlanningObjective final : public Objective {
         result.costs(i) = std::numeric_limits<double>::infinity();
         continue;
       }
-      const Positions& mean = prediction->shapes()[at].front().mean;
-      const Positions difference = mean - *request_.goal;
+      // Row v is weighted by the vertex's weight, once for the loss and once for its gradient.
+      const auto& shape = prediction->shapes()[at].front();
+      const Positions difference = shape.mean - *request_.goal;
+      const Positions weighted = weights_.asDiagonal() * difference;
       const double weight = kSquareMm / static_cast<double>(difference.size());
       const Index u = cases[at].segments.front();
       const double activity = activity_loss(task_, request_.state, cases[at].controls, u, params_.slowness_weight,
                                             wanted.gradients ? &d_activity[at] : nullptr);
-      result.costs(i) = weight * difference.squaredNorm() + params_.activity_weight * activity;
-      if (wanted.gradients) cotangents[at].front().mean = 2.0 * weight * difference;
+      result.costs(i) = weight * weighted.cwiseProduct(difference).sum() + params_.activity_weight * activity;
+      if (wanted.gradients) cotangents[at].front().mean = 2.0 * weight * weighted;
+      if (moments_ == Moments::mean) continue;
+      // E |x - s*|^2 = |mu - s*|^2 + sigma^2
+      const Positions weighted_sigma = weights_.asDiagonal() * shape.sigma;
+      result.costs(i) += weight * weighted_sigma.cwiseProduct(shape.sigma).sum();
+      if (wanted.gradients) cotangents[at].front().sigma = 2.0 * weight * weighted_sigma;
     }
     if (wanted.gradients) {
       const auto gradients = prediction->pullback(cotangents);
@@ -106,7 +121,8 @@ class PlanningObjective final : public Objective {
       for (Index i = 0; i < n; ++i) {
         const auto at = static_cast<std::size_t>(i);
         if (!std::isfinite(result.costs(i))) continue;
-        const Controls total = gradients[at].controls + params_.activity_weight * d_activity[at];
+        Controls total = gradients[at].controls + params_.activity_weight * d_activity[at];
+        limit_gradient(x.col(i), total);
         result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
       }
     }
@@ -117,22 +133,47 @@ class PlanningObjective final : public Objective {
   /// The case of one decision vector: only the shape after the release segment u (eq. 5) is asked for.
   PredictionCase make_case(ConstVec x) const {
     PredictionCase one{.shape = request_.shape, .previous = request_.previous, .state = request_.state};
-    one.controls = task_.trajectory->decode(x, horizon_, request_.state);
+    one.controls = decode(x);
     one.knowledge = request_.knowledge;
     one.segments = {task_.trajectory->release_segment(task_.manipulation, request_.state, one.controls)};
     return one;
   }
+  /// Controls of a decision vector, inside the range that the predictor knows.
+  Controls decode(ConstVec x) const {
+    Controls controls = task_.trajectory->decode(x, horizon_, request_.state);
+    if (range_) {
+      for (Index j = 0; j < controls.rows(); ++j)
+        controls.row(j) = range_->clamp(controls.row(j).transpose()).transpose();
+    }
+    return controls;
+  }
   Index evaluations() const { return evaluations_; }
 
  private:
+  /// A control that was cut off moves nothing outwards; inwards it may move.
+  void limit_gradient(ConstVec x, Controls& gradient) const {
+    if (!range_) return;
+    const Controls wanted = task_.trajectory->decode(x, horizon_, request_.state);
+    for (Index j = 0; j < wanted.rows(); ++j) {
+      for (Index c = 0; c < wanted.cols(); ++c) {
+        const bool outwards = (wanted(j, c) < range_->lower(c) && gradient(j, c) > 0.0) ||
+                              (wanted(j, c) > range_->upper(c) && gradient(j, c) < 0.0);
+        if (outwards) gradient(j, c) = 0.0;
+      }
+    }
+  }
+  Index shape_rows() const { return (moments_ == Moments::mean ? 1 : 2) * request_.goal->size(); }
   bool uses_jvp(const EvaluationRequest& wanted) const { return wanted.jacobians && predictor_.capabilities().jvp; }
 
   /// Eq. 4 as 1/2 |r|^2. The release segment u is held fixed for the Jacobian, as it is for the gradient.
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
                      bool with_jacobians, Evaluation& result) {
     const Index rows = capabilities().residuals, columns = dim(), n = x.cols();
-    const Index shape_rows = request_.goal->size();
-    const double shape_weight = std::sqrt(2.0 * kSquareMm / static_cast<double>(shape_rows));
+    const Index coordinates = request_.goal->size();
+    Vector shape_weight(coordinates);
+    for (Index k = 0; k < coordinates; ++k)
+      shape_weight(k) = std::sqrt(2.0 * kSquareMm * weights_(k / 3) / static_cast<double>(coordinates));
+    const auto flat = [](const Positions& p) { return Eigen::Map<const Vector>(p.data(), p.size()); };
     const double activity_weight = std::sqrt(2.0 * params_.activity_weight);
     result.residuals = Matrix::Zero(rows, n);
     if (with_jacobians) result.jacobians.assign(static_cast<std::size_t>(n), Matrix::Zero(rows, columns));
@@ -143,9 +184,11 @@ class PlanningObjective final : public Objective {
       if (!std::isfinite(result.costs(i))) continue;
       const auto& one = cases[at];
       const Index u = one.segments.front();
-      const Positions difference = prediction.shapes()[at].front().mean - *request_.goal;
-      result.residuals.col(i).head(shape_rows) =
-          shape_weight * Eigen::Map<const Vector>(difference.data(), difference.size());
+      const auto& shape = prediction.shapes()[at].front();
+      const Positions difference = shape.mean - *request_.goal;
+      result.residuals.col(i).head(coordinates) = shape_weight.cwiseProduct(flat(difference));
+      if (moments_ != Moments::mean)
+        result.residuals.col(i).segment(coordinates, coordinates) = shape_weight.cwiseProduct(flat(shape.sigma));
       Matrix d_activity;
       const Vector activity = activity_residuals(task_, request_.state, one.controls, u, params_.slowness_weight,
                                                  with_jacobians ? &d_activity : nullptr);
@@ -155,7 +198,12 @@ class PlanningObjective final : public Objective {
       const Index controls = one.controls.cols();
       Matrix decode(u * controls, columns);
       Controls unit = Controls::Zero(one.controls.rows(), controls);
+      const Controls uncut = task_.trajectory->decode(x.col(i), horizon_, request_.state);
       for (Index k = 0; k < decode.rows(); ++k) {
+        if (uncut.data()[k] != one.controls.data()[k]) {  // cut off: moves nothing
+          decode.row(k).setZero();
+          continue;
+        }
         unit.data()[k] = 1.0;
         decode.row(k) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, unit).transpose();
         unit.data()[k] = 0.0;
@@ -172,12 +220,14 @@ class PlanningObjective final : public Objective {
     }
     if (!with_jacobians) return;
     const auto derivatives = directional_derivatives(predictor_, prediction, cases, directions, *task_.trajectory,
-                                                     Moments::mean, {.step = params_.difference_step}, &evaluations_);
+                                                     moments_, {.step = params_.difference_step}, &evaluations_);
     for (std::size_t i = 0; i < variables.size(); ++i) {
       for (std::size_t k = 0; k < variables[i].size(); ++k) {
-        const Positions& change = derivatives[i][k].front().mean;
-        result.jacobians[i].col(variables[i][k]).head(shape_rows) =
-            shape_weight * Eigen::Map<const Vector>(change.data(), change.size());
+        const auto& change = derivatives[i][k].front();
+        auto column = result.jacobians[i].col(variables[i][k]);
+        column.head(coordinates) = shape_weight.cwiseProduct(flat(change.mean));
+        if (moments_ != Moments::mean)
+          column.segment(coordinates, coordinates) = shape_weight.cwiseProduct(flat(change.sigma));
       }
     }
   }
@@ -185,8 +235,11 @@ class PlanningObjective final : public Objective {
   const Task& task_;
   const Predictor& predictor_;
   const PlannerParams& params_;
+  const Vector& weights_;
   const PlanRequest& request_;
   Index horizon_;
+  Moments moments_;
+  std::optional<Box> range_;  // [C]
   Index evaluations_ = 0;
 };
 
@@ -272,12 +325,38 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
   return loss;
 }
 
+Vector vertex_weights(const PlannerParams& params, Index vertices) {
+  if (params.vertices.empty() && params.vertex_weights.empty()) return Vector::Ones(vertices);
+  std::vector<double> counted = params.vertices;
+  if (counted.empty()) {
+    for (Index v = 0; v < vertices; ++v) counted.push_back(static_cast<double>(v));
+  }
+  if (!params.vertex_weights.empty() && params.vertex_weights.size() != counted.size()) {
+    throw ConfigError("planning.vertex_weights has " + std::to_string(params.vertex_weights.size()) +
+                      " numbers, must have " + std::to_string(counted.size()) + ": one per vertex that counts");
+  }
+  Vector weights = Vector::Constant(vertices, -1.0);
+  for (std::size_t i = 0; i < counted.size(); ++i) {
+    const auto v = static_cast<Index>(counted[i]);
+    if (static_cast<double>(v) != counted[i] || v >= vertices) {
+      throw ConfigError("planning.vertices[" + std::to_string(i) + "] must be a vertex in [0, " +
+                        std::to_string(vertices - 1) + "]");
+    }
+    if (weights(v) >= 0.0) throw ConfigError("planning.vertices names vertex " + std::to_string(v) + " twice");
+    weights(v) = params.vertex_weights.empty() ? 1.0 : params.vertex_weights[i];
+  }
+  weights = weights.cwiseMax(0.0);
+  if (weights.sum() <= 0.0) throw ConfigError("planning.vertex_weights: at least one must be above 0");
+  return weights * (static_cast<double>(vertices) / weights.sum());
+}
+
 Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
                  std::shared_ptr<const Optimiser> optimiser, const PlannerParams& params, Host& host)
     : task_(task), predictor_(std::move(predictor)), optimiser_(std::move(optimiser)), params_(params), host_(host) {
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
     throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
   }
+  weights_ = vertex_weights(params_, task_.garment->vertex_count());
 }
 
 Plan Planner::plan(const PlanRequest& request) const {
@@ -307,7 +386,7 @@ Plan Planner::plan(const PlanRequest& request) const {
     starts.col(i) = bounds.clamp(starts.col(i));
   }
 
-  PlanningObjective objective(task_, *predictor_, params_, request, plan.horizon);
+  PlanningObjective objective(task_, *predictor_, params_, weights_, request, plan.horizon);
   OptimiserOptions options;
   options.max_iterations = first ? params_.iterations : params_.replan_iterations;
   options.seed = RandomStream(request.seed, 0x6f707469ull, static_cast<std::uint64_t>(request.round)).bits64();

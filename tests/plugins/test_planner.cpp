@@ -30,13 +30,15 @@ class QuietHost final : public Host {
 /// controls that made it, and the gradient is the chain of the trajectory's own pullbacks.
 class TargetsPrediction final : public Prediction {
  public:
-  TargetsPrediction(const Task& task, const std::vector<PredictionCase>& cases) : task_(task), cases_(cases) {
+  /// Sigma is 0.2 m + sigma_slope times the position.
+  TargetsPrediction(const Task& task, const std::vector<PredictionCase>& cases, double sigma_slope)
+      : task_(task), cases_(cases), sigma_slope_(sigma_slope) {
     for (const auto& one : cases) {
       const Controls states = task.trajectory->segment_states(task.manipulation, one.state, one.controls);
       std::vector<ShapeDistribution> shapes;
       for (const Index j : one.segments) {
         const Positions targets = task.trajectory->targets(task.manipulation, states.row(j - 1).transpose());
-        shapes.push_back({targets, Positions::Constant(targets.rows(), 3, 1e-3)});
+        shapes.push_back({targets, (0.2 + sigma_slope * targets.array()).matrix()});
       }
       shapes_.push_back(shapes);
     }
@@ -58,8 +60,9 @@ class TargetsPrediction final : public Prediction {
       for (std::size_t k = 0; k < one.segments.size(); ++k) {
         if (cotangents[i][k].mean.rows() == 0) continue;
         const Index last = one.segments[k] * kFramesPerSegment;
-        Vector d = trajectory.targets_pullback(task_.manipulation, states[static_cast<std::size_t>(last)],
-                                               cotangents[i][k].mean);
+        Positions d_targets = cotangents[i][k].mean;
+        if (cotangents[i][k].sigma.rows() > 0) d_targets += sigma_slope_ * cotangents[i][k].sigma;
+        Vector d = trajectory.targets_pullback(task_.manipulation, states[static_cast<std::size_t>(last)], d_targets);
         for (Index f = last - 1; f >= 0; --f) {
           Vector d_state, d_control;
           trajectory.advance_pullback(task_.manipulation, states[static_cast<std::size_t>(f)],
@@ -76,6 +79,7 @@ class TargetsPrediction final : public Prediction {
  private:
   Task task_;
   std::vector<PredictionCase> cases_;
+  double sigma_slope_;
   std::vector<std::vector<ShapeDistribution>> shapes_;
   std::string none_;
 };
@@ -83,11 +87,14 @@ class TargetsPrediction final : public Prediction {
 class TargetsPredictor final : public Predictor {
  public:
   bool has_gradients = true;
+  double sigma_slope = 0.0;
+  std::optional<Box> range;
   PredictorCapabilities capabilities() const override { return {.gradients = has_gradients}; }
+  std::optional<Box> control_range() const override { return range; }
   void bind(const Task& task) override { task_ = task; }
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest&) const override {
-    return std::make_unique<TargetsPrediction>(task_, cases);
+    return std::make_unique<TargetsPrediction>(task_, cases, sigma_slope);
   }
 
  private:
@@ -267,30 +274,86 @@ class Probe final : public Optimiser {
 };
 
 TEST(PlanningObjective, HalfTheSquaredResidualsAreTheCostAndTheirJacobianGivesItsGradient) {
+  for (const std::string loss : {"mean", "expected"}) {
+    Bench setup;
+    setup.params.loss = loss;
+    setup.params.vertex_weights = {3.0, 1.0};
+    setup.predictor->sigma_slope = 0.1;
+    setup.params.activity_weight = 3.0;
+    setup.params.noise = 2.0;  // slow segments among them
+    setup.params.difference_step = 1e-3;
+    setup.optimiser = std::make_shared<Probe>([&](Objective& f, ConstMatrix starts) {
+      const Index r = f.capabilities().residuals;
+      EXPECT_EQ(r, (loss == "mean" ? 6 : 12) + 24 * 5 + 25);
+      std::vector<Index> instances(static_cast<std::size_t>(starts.cols()));
+      std::iota(instances.begin(), instances.end(), 0);
+      const Evaluation plain = f.evaluate(starts, instances, {.gradients = true});
+      const Evaluation e = f.evaluate(starts, instances, {.residuals = true, .jacobians = true});
+      const Evaluation no_jacobian = f.evaluate(starts, instances, {.residuals = true});
+      ASSERT_EQ(e.residuals.rows(), r);
+      ASSERT_EQ(static_cast<Index>(e.jacobians.size()), starts.cols());
+      EXPECT_TRUE(no_jacobian.jacobians.empty());
+      EXPECT_EQ(no_jacobian.residuals, e.residuals);
+      EXPECT_EQ(e.costs, plain.costs);
+      for (Index i = 0; i < starts.cols(); ++i) {
+        EXPECT_NEAR(0.5 * e.residuals.col(i).squaredNorm(), e.costs(i), 1e-9 * e.costs(i));
+        const Vector gradient = e.jacobians[static_cast<std::size_t>(i)].transpose() * e.residuals.col(i);
+        EXPECT_LT((gradient - plain.gradients.col(i)).norm(), 1e-4 * plain.gradients.col(i).norm()) << i;
+      }
+    });
+    setup.plan();
+  }
+}
+
+TEST(PlanningObjective, ExpectedLossAddsTheVarianceOfWhatCounts) {
   Bench setup;
-  setup.params.activity_weight = 3.0;
-  setup.params.noise = 2.0;  // slow segments among them
-  setup.params.difference_step = 1e-3;
-  setup.optimiser = std::make_shared<Probe>([&](Objective& f, ConstMatrix starts) {
-    const Index r = f.capabilities().residuals;
-    EXPECT_EQ(r, 6 + 24 * 5 + 25);
-    std::vector<Index> instances(static_cast<std::size_t>(starts.cols()));
-    std::iota(instances.begin(), instances.end(), 0);
-    const Evaluation plain = f.evaluate(starts, instances, {.gradients = true});
-    const Evaluation e = f.evaluate(starts, instances, {.residuals = true, .jacobians = true});
-    const Evaluation no_jacobian = f.evaluate(starts, instances, {.residuals = true});
-    ASSERT_EQ(e.residuals.rows(), r);
-    ASSERT_EQ(static_cast<Index>(e.jacobians.size()), starts.cols());
-    EXPECT_TRUE(no_jacobian.jacobians.empty());
-    EXPECT_EQ(no_jacobian.residuals, e.residuals);
-    EXPECT_EQ(e.costs, plain.costs);
-    for (Index i = 0; i < starts.cols(); ++i) {
-      EXPECT_NEAR(0.5 * e.residuals.col(i).squaredNorm(), e.costs(i), 1e-9 * e.costs(i));
-      const Vector gradient = e.jacobians[static_cast<std::size_t>(i)].transpose() * e.residuals.col(i);
-      EXPECT_LT((gradient - plain.gradients.col(i)).norm(), 1e-4 * plain.gradients.col(i).norm()) << i;
-    }
-  });
-  setup.plan();
+  setup.params.activity_weight = 0.0;
+  setup.params.instances = 1;
+  const auto cost = [&] {
+    double value = 0.0;
+    setup.optimiser = std::make_shared<Probe>(
+        [&](Objective& f, ConstMatrix starts) { value = f.evaluate(starts, {0}, {}).costs(0); });
+    setup.plan();
+    return value;
+  };
+  const double mean = cost();
+  setup.params.loss = "expected";
+  EXPECT_NEAR(cost() - mean, 200.0 * 200.0, 1e-6);  // sigma is 200 mm everywhere
+  setup.params.loss = "mean";
+  setup.params.vertices = {0};
+  const double first = cost();
+  setup.params.vertices = {1};
+  EXPECT_NEAR(0.5 * (first + cost()), mean, 1e-9 * mean);
+  EXPECT_GT(std::abs(first - mean), 1e-3 * mean);
+}
+
+TEST(Planner, RefusesVerticesAndWeightsThatMakeNoSense) {
+  const auto refuse = [](std::vector<double> vertices, std::vector<double> weights) {
+    Bench setup;
+    setup.params.vertices = std::move(vertices);
+    setup.params.vertex_weights = std::move(weights);
+    EXPECT_THROW(setup.plan(), ConfigError);
+  };
+  refuse({2}, {});
+  refuse({0.5}, {});
+  refuse({1, 1}, {});
+  refuse({0, 1}, {1});
+  refuse({}, {1, 1, 1});
+  refuse({}, {0, 0});
+}
+
+TEST(Planner, PlansStayInsideTheControlsThatThePredictorKnows) {
+  Bench setup;
+  const Plan free = setup.plan();
+  ASSERT_GT(free.controls.col(2).maxCoeff(), 0.1);  // the goal wants 0.15
+  Box range{Vector::Constant(5, -10.0), Vector::Constant(5, 10.0)};
+  range.upper(2) = 0.1;
+  range.lower(0) = 1.9;
+  setup.predictor->range = range;
+  const Plan plan = setup.plan();
+  EXPECT_LE(plan.controls.col(2).maxCoeff(), 0.1);
+  EXPECT_GE(plan.controls.col(0).minCoeff(), 1.9);
+  EXPECT_GT(plan.controls.col(2).maxCoeff(), 0.08);  // and it still goes as far as it may
 }
 
 TEST(PlanningObjective, OffersResidualsWithoutGradients) {

@@ -21,6 +21,8 @@ struct PlannerParams {
   double replan_scale = 1.0;
   double activity_weight = 1.0;
   double slowness_weight = 10.0;
+  std::string loss = "mean";
+  std::vector<double> vertices, vertex_weights;
   double time_budget_s = 0.0;
   std::int64_t max_evaluations = 0;
   double difference_step = 0.1;
@@ -41,6 +43,11 @@ struct PlannerParams {
     v("activity_weight", activity_weight, range(0, 1e6, "mm^2"), "beta of eq. 4.");
     v("slowness_weight", slowness_weight, range(0, 1e6),
       "Weight inside L_act of segments that progress too slowly to finish within the horizon.");
+    v("loss", loss, choice({"mean", "expected"}),
+      "mean: squared error of the predicted mean, as in eq. 4. expected: expected squared error, which adds sigma^2.");
+    v("vertices", vertices, range(0, 1e9), "Vertices that count in the error; default: all.");
+    v("vertex_weights", vertex_weights, range(0, 1e9),
+      "Weight of each of them (their mean is brought to 1); default: equal.");
     v("time_budget_s", time_budget_s, range(0, 1e6, "s"), "Stop a plan after this time; 0: never.");
     v("max_evaluations", max_evaluations, range(0, 1e9),
       "Points that one instance of a plan may evaluate; 0: no limit.");
@@ -90,10 +97,14 @@ WEFT_API double activity_loss(const Task& task, ConstVec state, const Controls& 
 WEFT_API Vector activity_residuals(const Task& task, ConstVec state, const Controls& controls, Index u,
                                    double slowness_weight, Matrix* jacobian);
 
+/// Weight of every vertex in the planning loss, [V], of mean 1: `vertices` and `vertex_weights` of the parameters.
+/// @throws ConfigError for an index that is no vertex, a repeated one, weights of another number, or of sum 0.
+WEFT_API Vector vertex_weights(const PlannerParams& params, Index vertices);
+
 /// Trajectory planning (section 4). Uses the predictor for shapes and gradients, the optimiser for the search.
 class WEFT_API Planner {
  public:
-  /// @throws Unsupported when the optimiser needs gradients that the predictor lacks.
+  /// @throws Unsupported when the optimiser needs gradients that the predictor lacks; ConfigError as vertex_weights().
   Planner(const Task& task, std::shared_ptr<const Predictor> predictor, std::shared_ptr<const Optimiser> optimiser,
           const PlannerParams& params, Host& host);
   /// @throws Error when no instance reached a finite loss.
@@ -104,6 +115,7 @@ class WEFT_API Planner {
   std::shared_ptr<const Predictor> predictor_;
   std::shared_ptr<const Optimiser> optimiser_;
   PlannerParams params_;
+  Vector weights_;  ///< [V]
   Host& host_;
 };
 

@@ -1,6 +1,7 @@
 #pragma once
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -111,6 +112,9 @@ class WEFT_API Predictor {
   /// failed.
   virtual std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                               const PredictionRequest& request) const = 0;
+  /// Range of the controls that it is good for (a trained model: of those it has seen), [C] each; plans stay inside.
+  /// After bind(). nullopt: as far as the trajectory goes.
+  virtual std::optional<Box> control_range() const { return std::nullopt; }
   /// This predictor's learning side (trainable.hpp), or null when it does not learn.
   virtual TrainablePredictor* trainable() { return nullptr; }
 };

@@ -361,6 +361,14 @@ void EmdPredictor::bind(const Task& task) {
   bound_ = std::move(bound);
 }
 
+std::optional<Box> EmdPredictor::control_range() const {
+  if (!bound_) throw Error("emd: control_range() before bind()");
+  const auto vector = [](const std::vector<double>& v) {
+    return Vector(Eigen::Map<const Vector>(v.data(), static_cast<Index>(v.size())));
+  };
+  return Box{vector(bound_->model->control_low), vector(bound_->model->control_high)};
+}
+
 std::unique_ptr<Prediction> EmdPredictor::predict(const std::vector<PredictionCase>& cases,
                                                   const PredictionRequest& request) const {
   if (!bound_) throw Error("emd: predict() before bind()");

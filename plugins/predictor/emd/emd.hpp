@@ -20,6 +20,7 @@ class EmdPredictor final : public Predictor, public TrainablePredictor {
   void bind(const Task& task) override;
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest& request) const override;
+  std::optional<Box> control_range() const override;
   TrainablePredictor* trainable() override { return this; }
 
   FitReport fit(const Dataset& dataset, const Task& task, const FitOptions& options,
