@@ -5,12 +5,16 @@ namespace weft::app {
 // One per file cmd_evaluate_*.cpp.
 void register_evaluate_physics(CLI::App& evaluate, Context& context);
 void register_evaluate_prediction(CLI::App& evaluate, Context& context);
+void register_evaluate_planning(CLI::App& evaluate, Context& context);
+void register_evaluate_estimation(CLI::App& evaluate, Context& context);
 
 void register_evaluate(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("evaluate", "Measure a part of weft against what is known to be true");
   command->require_subcommand(1);
   register_evaluate_physics(*command, context);
   register_evaluate_prediction(*command, context);
+  register_evaluate_planning(*command, context);
+  register_evaluate_estimation(*command, context);
 }
 
 }  // namespace weft::app

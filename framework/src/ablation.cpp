@@ -357,17 +357,25 @@ AblationOutcome run_session_cell(const ConfigNode& config, Host& host) {
   const SessionResult result = run_session(params, config, host);
   // With one thread everything but the solvers' own arithmetic runs here, so that others on the machine do not count.
   const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
+  AblationOutcome outcome = session_outcome(result);
+  outcome.metrics.emplace_back("cpu_seconds", cpu_seconds);
+  return outcome;
+}
+
+AblationOutcome session_outcome(const SessionResult& result) {
   AblationOutcome outcome;
   std::uint64_t hash = fnv(result.goal.data(), sizeof(double) * static_cast<std::size_t>(result.goal.size()));
   hash = fnv(result.start.data(), sizeof(double) * static_cast<std::size_t>(result.start.size()), hash);
   hash = fnv(result.true_material.data(), sizeof(double) * 4, hash);
   outcome.paired_by = hex(hash);
-  double evaluations = 0, iterations = 0, seconds = 0;
+  double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, refinement_seconds = 0;
   for (const auto& round : result.rounds) {
     evaluations += static_cast<double>(round.plan.evaluations);
     iterations += static_cast<double>(round.plan.iterations);
     seconds += round.plan.seconds;
+    refinement_seconds += round.refinement_seconds;
   }
+  for (const auto& estimate : result.estimates) estimate_seconds += estimate.seconds;
   const bool planned = !result.rounds.empty();
   const Plan first = planned ? result.rounds.front().plan : Plan();
   outcome.metrics = {
@@ -382,8 +390,9 @@ AblationOutcome run_session_cell(const ConfigNode& config, Host& host) {
       {"evaluations", evaluations},
       {"iterations", iterations},
       {"plan_seconds", seconds},
+      {"estimate_seconds", estimate_seconds},
+      {"refinement_seconds", refinement_seconds},
       {"simulate_seconds", result.simulate_seconds},
-      {"cpu_seconds", cpu_seconds},
   };
   return outcome;
 }

@@ -9,7 +9,7 @@
 namespace weft {
 namespace {
 
-constexpr int kSweeps = 3000, kBurnIn = 50;
+constexpr int kBurnIn = 50;
 constexpr double kLeastPrecision = 1e-4;  // sd of 100 boxes: uniform for all purposes
 
 /// Standard normal given low <= z <= high [Robert 1995, "Simulation of truncated normal variables"].
@@ -60,15 +60,15 @@ MaterialPosterior MaterialPosterior::widened(const PropertyVector& factor) const
   return wide;
 }
 
-MaterialKnowledge interval_of(const MaterialPosterior& posterior) {
+MaterialKnowledge interval_of(const MaterialPosterior& posterior, int sweeps) {
   const auto& precision = posterior.precision;
   PropertyVector sd;
   for (Index p = 0; p < 4; ++p) sd(p) = 1.0 / std::sqrt(std::max(precision(p, p), kLeastPrecision));
   std::array<std::vector<double>, 4> samples;
-  for (auto& list : samples) list.reserve(kSweeps);
+  for (auto& list : samples) list.reserve(static_cast<std::size_t>(sweeps));
   RandomStream random(0x706f7374ull);
   PropertyVector q = posterior.mode;
-  for (int sweep = -kBurnIn; sweep < kSweeps; ++sweep) {
+  for (int sweep = -kBurnIn; sweep < sweeps; ++sweep) {
     for (Index p = 0; p < 4; ++p) {
       double slope = posterior.gradient(p);
       for (Index r = 0; r < 4; ++r) {

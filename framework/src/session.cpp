@@ -39,20 +39,6 @@ std::shared_ptr<const Positions> filled(const Observation& seen, const Positions
   return std::make_shared<const Positions>(std::move(shape));
 }
 
-/// The flat garment at the height at which it is seen.
-Positions expected_start(const Task& task, const Observation& seen) {
-  Positions expected = task.garment->positions;
-  double height = 0.0;
-  Index count = 0;
-  for (Index v = 0; v < expected.rows(); ++v) {
-    if (!seen.sees(v)) continue;
-    height += seen.positions(v, 2);
-    ++count;
-  }
-  if (count > 0) expected.col(2).setConstant(height / static_cast<double>(count));
-  return expected;
-}
-
 /// Estimates after every segment, each one from everything up to then and the estimate before it. With more than one
 /// thread they run beside the session; what they are does not depend on that.
 class EstimateChain {
@@ -154,24 +140,42 @@ SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator,
 
 void SimulatorEnvironment::record() { frames_.push_back(to_frame(simulator_->positions())); }
 
-Observation SimulatorEnvironment::observe() {
-  Observation seen{.positions = simulator_->positions(),
-                   .time_s = static_cast<double>(simulator_->frame()) * kFrameSeconds};
-  const RandomStream streams(seed_, kNoiseStream, observations_++);
-  if (params_.noise_m > 0.0) {
-    seen.sigma = params_.noise_m;
+Observation observe_shape(const Positions& shape, const ObservationParams& params, std::uint64_t seed,
+                          std::uint64_t number) {
+  Observation seen{.positions = shape, .sigma = params.noise_m};
+  const RandomStream streams(seed, kNoiseStream, number);
+  if (params.noise_m > 0.0) {
     RandomStream random = streams.child(0);
-    for (Index k = 0; k < seen.positions.size(); ++k) seen.positions.data()[k] += params_.noise_m * random.normal();
+    for (Index k = 0; k < seen.positions.size(); ++k) seen.positions.data()[k] += params.noise_m * random.normal();
   }
-  if (params_.hidden_share > 0.0 || params_.lost_share > 0.0) {
-    RandomStream hidden(seed_, kHiddenStream);
+  if (params.hidden_share > 0.0 || params.lost_share > 0.0) {
+    RandomStream hidden(seed, kHiddenStream);
     RandomStream lost = streams.child(1);
-    seen.observed.resize(static_cast<std::size_t>(seen.positions.rows()));
+    seen.observed.resize(static_cast<std::size_t>(shape.rows()));
     for (std::size_t v = 0; v < seen.observed.size(); ++v) {
-      const bool is_hidden = hidden.uniform() < params_.hidden_share, is_lost = lost.uniform() < params_.lost_share;
+      const bool is_hidden = hidden.uniform() < params.hidden_share, is_lost = lost.uniform() < params.lost_share;
       seen.observed[v] = !is_hidden && !is_lost;
     }
   }
+  return seen;
+}
+
+std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen) {
+  Positions expected = task.garment->positions;
+  double height = 0.0;
+  Index count = 0;
+  for (Index v = 0; v < expected.rows(); ++v) {
+    if (!seen.sees(v)) continue;
+    height += seen.positions(v, 2);
+    ++count;
+  }
+  if (count > 0) expected.col(2).setConstant(height / static_cast<double>(count));
+  return filled(seen, expected);
+}
+
+Observation SimulatorEnvironment::observe() {
+  Observation seen = observe_shape(simulator_->positions(), params_, seed_, observations_++);
+  seen.time_s = static_cast<double>(simulator_->frame()) * kFrameSeconds;
   return seen;
 }
 
@@ -304,7 +308,7 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   EstimateChain chain(estimator.get(), host, seed, params.observation.noise_m);
   Vector state = trajectory.initial_state(task.manipulation);
   const Observation first = environment.observe();
-  auto current = filled(first, expected_start(task, first));
+  auto current = filled_start(task, first);
   std::shared_ptr<const Positions> previous;
   const auto goal = std::make_shared<const Positions>(result.goal);
   result.start = environment.positions();

@@ -9,6 +9,7 @@
 
 #include "weft/params.hpp"
 #include "weft/registry.hpp"
+#include "weft/session.hpp"
 
 namespace weft {
 
@@ -76,6 +77,7 @@ struct AblationRow {
 
 /// Runs a session. @throws what a session throws.
 using AblationRunner = std::function<AblationOutcome(const ConfigNode& session, Host& host)>;
+WEFT_API AblationOutcome session_outcome(const SessionResult& result);
 WEFT_API AblationOutcome run_session_cell(const ConfigNode& session, Host& host);
 
 struct AblationOptions {

@@ -18,8 +18,8 @@ struct MaterialPosterior {
 /// The interval (c, w) that stands for a posterior, property by property: that of the uniform distribution whose
 /// central 50 % and 80 % intervals agree with those of the posterior, on average over the two. So [c - a w/2, c + a
 /// w/2] holds q with probability near a; of a normal distribution w = 2.95 standard deviations (coverage .54 at a = .5,
-/// .76 at .8), of a uniform one the interval itself. Quantiles from a Gibbs sampler with random numbers of its own:
-/// same posterior, same bits.
-WEFT_API MaterialKnowledge interval_of(const MaterialPosterior& posterior);
+/// .76 at .8), of a uniform one the interval itself. Quantiles from `sweeps` of a Gibbs sampler with random numbers of
+/// its own: same posterior, same bits.
+WEFT_API MaterialKnowledge interval_of(const MaterialPosterior& posterior, int sweeps = 3000);
 
 }  // namespace weft

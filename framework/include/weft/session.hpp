@@ -36,10 +36,17 @@ struct ObservationParams {
   }
 };
 
+/// A shape as it is seen. @param number of the observation in the session: it draws the same numbers whatever went
+/// before. @param seed of noise and of what stays hidden.
+WEFT_API Observation observe_shape(const Positions& shape, const ObservationParams& params, std::uint64_t seed,
+                                   std::uint64_t number);
+/// The start shape, what was not seen filled from the flat garment at the height at which the rest lies.
+WEFT_API std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen);
+
 /// The first environment: a simulator with the true material. Records every frame it simulates.
 class WEFT_API SimulatorEnvironment final : public Environment {
  public:
-  /// @param seed of noise and of what stays hidden; the k-th observation draws the same numbers whatever went before.
+  /// @param seed as in observe_shape.
   SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task, const MaterialProperties& material,
                        const ObservationParams& params = {}, std::uint64_t seed = 0);
   Observation observe() override;

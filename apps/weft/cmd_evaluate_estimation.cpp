@@ -1,0 +1,48 @@
+#include <iostream>
+
+#include "evaluation_run.hpp"
+#include "page.hpp"
+
+namespace weft::app {
+namespace {
+
+int evaluate(Context& context, const EvaluationOptions& options, std::vector<std::string> methods) {
+  EvaluationRun evaluation(context, options, "evaluate-estimation");
+  if (methods.empty()) methods = {evaluation.params.estimation.method};
+  const auto columns = evaluation.run(
+      [&](const EvaluationCases& cases) {
+        return estimation_evaluation(evaluation.session, methods, evaluation.params.data, cases);
+      },
+      [&](const EvaluationCases& cases, const std::filesystem::path&) {
+        return estimation_runner(cases, evaluation.params.data);
+      },
+      [](const AblationRow&) { return std::string("done"); });
+  const std::string json = estimation_evaluation_json(columns);
+  write_text(evaluation.out / "estimation.json", json);
+  write_text(evaluation.out / "estimation.csv", estimation_evaluation_csv(columns));
+  if (context.json) std::cout << json;
+  context.say(estimation_evaluation_table(json));
+  write_page(context, evaluation.out);
+  context.say("results in " + evaluation.out.string());
+  if (!evaluation.complete) context.say("interrupted; the same command finishes it");
+  return evaluation.complete ? 0 : 1;
+}
+
+}  // namespace
+
+void register_evaluate_estimation(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand(
+      "estimation",
+      "Material estimates while manipulations are replayed (Table 1, Fig. 4), and their calibration; resumable");
+  add_common_options(*command, context);
+  auto options = std::make_shared<EvaluationOptions>();
+  auto methods = std::make_shared<std::vector<std::string>>();
+  add_evaluation_options(*command, *options);
+  command->add_option("--methods", *methods, "estimation.method of each arm; default: the config's")
+      ->check(CLI::IsMember({"posterior", "prior", "plain"}));
+  command->callback([&context, options, methods] {
+    context.action = [&context, options, methods] { return evaluate(context, *options, *methods); };
+  });
+}
+
+}  // namespace weft::app

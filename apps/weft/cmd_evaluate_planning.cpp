@@ -1,0 +1,58 @@
+#include <cstdio>
+#include <iostream>
+
+#include "evaluation_run.hpp"
+#include "page.hpp"
+
+namespace weft::app {
+namespace {
+
+double metric(const AblationRow& row, const char* name) {
+  for (const auto& [key, value] : row.outcome.metrics) {
+    if (key == name) return value;
+  }
+  return 0.0;
+}
+
+int evaluate(Context& context, const EvaluationOptions& options, const std::vector<double>& widths) {
+  EvaluationRun evaluation(context, options, "evaluate-planning");
+  const auto columns = evaluation.run(
+      [&](const EvaluationCases& cases) { return planning_evaluation(evaluation.session, widths, cases); },
+      planning_runner,
+      [](const AblationRow& row) {
+        char text[120];
+        std::snprintf(text, sizeof text, "%.1f mm (default control: %.1f mm), first plan %.2f s",
+                      metric(row, "error_mm"), metric(row, "default_error_mm"), metric(row, "first_plan_seconds"));
+        return std::string(text);
+      });
+  const std::string json = planning_evaluation_json(columns);
+  write_text(evaluation.out / "planning.json", json);
+  write_text(evaluation.out / "planning.csv", planning_evaluation_csv(columns));
+  const auto& first = columns.front();
+  write_planning_shapes(first, *evaluation.task.garment, evaluation.source_folder(first.cases.source),
+                        evaluation.out / "cases.h5");
+  if (context.json) std::cout << json;
+  for (const auto& column : columns) context.say(planning_evaluation_table(column));
+  write_page(context, evaluation.out);
+  context.say("results in " + evaluation.out.string());
+  if (!evaluation.complete) context.say("interrupted; the same command finishes it");
+  return evaluation.complete ? 0 : 1;
+}
+
+}  // namespace
+
+void register_evaluate_planning(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand(
+      "planning", "Error of whole sessions against the width of the material knowledge (Fig. 3); resumable");
+  add_common_options(*command, context);
+  auto options = std::make_shared<EvaluationOptions>();
+  auto widths = std::make_shared<std::vector<double>>();
+  for (int i = 1; i <= 10; ++i) widths->push_back(i / 10.0);
+  add_evaluation_options(*command, *options);
+  command->add_option("--widths", *widths, "w of all properties")->check(CLI::Range(0.0, 1.0));
+  command->callback([&context, options, widths] {
+    context.action = [&context, options, widths] { return evaluate(context, *options, *widths); };
+  });
+}
+
+}  // namespace weft::app

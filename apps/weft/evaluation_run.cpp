@@ -1,0 +1,83 @@
+#include "evaluation_run.hpp"
+
+#include <algorithm>
+
+namespace weft::app {
+
+void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
+  command.add_option("config", options.file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
+  command
+      .add_option(
+          "--goals", options.goals,
+          "Where cases come from, one column of the result each: fresh (made from the seed), test, validation, train")
+      ->check(CLI::IsMember({"fresh", "test", "validation", "train"}));
+  command.add_option("--cases", options.cases, "Cases per column")->check(CLI::Range(1, 100000));
+  command.add_option("--data", options.data, "Folder of examples, for cases that are not fresh");
+}
+
+EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name)
+    : context_(context), options_(options) {
+  const ConfigNode config = context.load(options.file);
+  const ConfigNode resolved = read_params(config, params);
+  session = config;
+  for (const char* key : {"data", "dataset", "evaluation"}) {
+    if (session.has(key)) session = session.without(key);
+  }
+  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
+  registry_ = context.registry(config);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
+  host_ = context.host(registry_, seed);
+  task = make_task(params.task, config, *host_);
+  if (params.predictor.is_null()) config.fail("predictor is missing; name one, such as {plugin: rollout}");
+  const auto predictor = host_->create<Predictor>(params.predictor);
+  predictor->bind(task);
+  const Planner planner(task, predictor, host_->create<Optimiser>(params.optimiser), params.planning, *host_);
+  if (name == "evaluate-estimation") {
+    const Estimator estimator(task, predictor, host_->create<Optimiser>(params.estimation_optimiser), params.estimation,
+                              *host_);
+  }
+  out = output_folder(context, name + "-" + std::filesystem::path(options.file).stem().string());
+  write_text(out / "config.yaml", self_contained(resolved, task, *registry_, out).to_yaml());
+  write_text(out / "provenance.json", provenance_json(*registry_, *host_, seed));
+}
+
+std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, const MakeRunner& make_runner,
+                                                 const std::function<std::string(const AblationRow&)>& line) {
+  std::shared_ptr<const Dataset> dataset;
+  if (std::any_of(options_.goals.begin(), options_.goals.end(), [](const auto& source) { return source != "fresh"; })) {
+    const std::filesystem::path folder = options_.data.empty() ? params.dataset : std::filesystem::path(options_.data);
+    if (folder.empty())
+      throw ConfigError("cases of a split need a dataset: --data FOLDER (or `dataset:` in the config)");
+    context_.say("reading " + folder.string());
+    dataset = std::make_shared<const Dataset>(Dataset::load(folder));
+    dataset->require_task(task);
+  }
+  std::vector<EvaluationColumn> columns;
+  for (const auto& source : options_.goals) {
+    EvaluationColumn column;
+    column.cases = choose_cases(source, options_.cases, static_cast<std::uint64_t>(params.seed),
+                                source == "fresh" ? nullptr : dataset);
+    column.plan = make_plan(column.cases);
+    columns.push_back(std::move(column));
+  }
+  for (auto& column : columns) {
+    AblationOptions cells;
+    cells.folder = source_folder(column.cases.source);
+    cells.jobs = host_->threads();
+    cells.registry = registry_;
+    cells.cancel = context_.cancel_flag();
+    cells.runner = make_runner(column.cases, cells.folder);
+    cells.progress = [&](const AblationRow& row, std::size_t done, std::size_t total) {
+      context_.say(std::to_string(done) + "/" + std::to_string(total) + "  " + column.plan.arms[row.arm].name +
+                   ", seed " + std::to_string(row.seed) + ": " +
+                   (row.failure.empty() ? line(row) : "failed: " + row.failure));
+    };
+    context_.say(column.plan.description + ": " + std::to_string(column.plan.arms.size()) + " x " +
+                 std::to_string(column.plan.seeds.size()) + " runs, " + std::to_string(cells.jobs) + " at a time");
+    column.rows = run_ablation(column.plan, cells);
+    complete = complete && column.rows.size() == column.plan.arms.size() * column.plan.seeds.size();
+  }
+  return columns;
+}
+
+}  // namespace weft::app

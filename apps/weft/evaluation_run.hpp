@@ -1,0 +1,47 @@
+#pragma once
+#include <string>
+#include <vector>
+
+#include "context.hpp"
+#include "output.hpp"
+#include "weft/session_evaluation.hpp"
+
+namespace weft::app {
+
+/// What `evaluate planning` and `evaluate estimation` have in common: the file, the cases, the cells.
+struct EvaluationOptions {
+  std::string file;
+  std::string data;
+  std::vector<std::string> goals = {"fresh"};
+  std::int64_t cases = 50;
+};
+void add_evaluation_options(CLI::App& command, EvaluationOptions& options);
+
+class EvaluationRun {
+ public:
+  /// Reads and checks everything that a cell needs, before any work starts.
+  EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name);
+
+  using MakePlan = std::function<AblationPlan(const EvaluationCases&)>;
+  using MakeRunner = std::function<AblationRunner(const EvaluationCases&, const std::filesystem::path& folder)>;
+  /// Runs the cells of every source; those that an earlier run finished are read.
+  /// @param line what to say about a row that ran.
+  std::vector<EvaluationColumn> run(const MakePlan& make_plan, const MakeRunner& make_runner,
+                                    const std::function<std::string(const AblationRow&)>& line);
+
+  ConfigNode session;  ///< config of the cells
+  ExperimentParams params;
+  Task task;
+  std::filesystem::path out;
+  bool complete = true;
+
+  std::filesystem::path source_folder(const std::string& source) const { return out / source; }
+
+ private:
+  Context& context_;
+  EvaluationOptions options_;
+  std::shared_ptr<const PluginRegistry> registry_;
+  std::unique_ptr<Host> host_;
+};
+
+}  // namespace weft::app

@@ -1,0 +1,118 @@
+// evaluate planning and evaluate estimation as people use them, on a coarse towel with an untrained network: what they
+// write, that they survive being killed, and that they repeat.
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "unit/test_program.hpp"
+#include "unit/test_support.hpp"
+#include "weft/hdf5_file.hpp"
+
+namespace weft {
+namespace {
+
+using nlohmann::json;
+using test::Folder;
+using test::Outcome;
+using ::testing::HasSubstr;
+
+const std::string kConfig = "'" WEFT_SOURCE_DIR "/configs/experiments/towel_small.yaml' ";
+const std::string kQuick =
+    "--set predictor.params.untrained=true --set planning='{instances: 2, iterations: 2, replan_iterations: 1}' "
+    "--set estimation='{instances: 2, iterations: 2, later_iterations: 1}' --set goal.random.min_distance_mm=5 "
+    "--set max_segments=12 ";
+
+Outcome weft_command(const std::string& arguments) {
+  return test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + arguments);
+}
+Outcome killed_command(double seconds, const std::string& arguments) {
+  return test::run_shell("unset WEFT_PLUGIN_PATH; timeout -s KILL " + std::to_string(seconds) + " '" WEFT_PROGRAM "' " +
+                         arguments);
+}
+std::string quoted(const std::filesystem::path& path) { return "'" + path.string() + "'"; }
+json read(const std::filesystem::path& file) {
+  std::ifstream stream(file);
+  return json::parse(stream);
+}
+/// A result without what the clock decides.
+json without_seconds(json value) {
+  if (value.is_object()) {
+    for (auto it = value.begin(); it != value.end();) {
+      if (it.key().find("seconds") != std::string::npos)
+        it = value.erase(it);
+      else
+        *it = without_seconds(*it), ++it;
+    }
+  } else if (value.is_array()) {
+    for (auto& item : value) item = without_seconds(item);
+  }
+  return value;
+}
+
+TEST(EvaluatePlanning, IsResumedAfterBeingKilledAndRepeats) {
+  const Folder folder;
+  const std::string command = "evaluate planning " + kConfig + kQuick + "--cases 2 --widths 0.1 1 --seed 3 ";
+  const Outcome whole = weft_command(command + "--jobs 2 --out " + quoted(folder / "whole"));
+  ASSERT_EQ(whole.code, 0) << whole.output;
+  EXPECT_THAT(whole.output, HasSubstr("4/4"));
+  for (const double seconds : {0.05, 0.1, 0.15, 0.25, 0.6})
+    killed_command(seconds, command + "--jobs 1 --quiet --out " + quoted(folder / "parts"));
+  const Outcome rest = weft_command(command + "--jobs 1 --json --out " + quoted(folder / "parts"));
+  ASSERT_EQ(rest.code, 0) << rest.output;
+  const json result = read(folder / "whole/planning.json");
+  EXPECT_EQ(without_seconds(json::parse(rest.output)), without_seconds(result));
+  EXPECT_EQ(result["goals"], "fresh");
+  EXPECT_EQ(result["cases"].size(), 4u);
+  EXPECT_EQ(result["by_width"][1]["width"], 1.0);
+  EXPECT_EQ(result["by_width"][1]["n"], 2);
+  const auto shapes = Hdf5File::open(folder / "whole/cases.h5");
+  EXPECT_EQ(shapes.shape("/planning/finals")[0], 4);
+  EXPECT_EQ(shapes.shape("/planning/goals")[0], 2);
+  // Another config does not go on in the same folder.
+  const Outcome other = weft_command(command + "--set planning.noise=2 --out " + quoted(folder / "whole"));
+  EXPECT_EQ(other.code, 2);
+  EXPECT_THAT(other.output, HasSubstr("another config"));
+}
+
+TEST(EvaluateEstimation, ComparesMethodsOnHeldOutAndOnTrainingExamples) {
+  const Folder folder;
+  ASSERT_EQ(weft_command("generate " + kConfig + "--examples 40 --quiet --out " + quoted(folder / "data")).code, 0);
+  const std::string command = "evaluate estimation " + kConfig + kQuick +
+                              "--cases 2 --goals test train --methods posterior plain --data " +
+                              quoted(folder / "data");
+  const Outcome outcome = weft_command(command + " --out " + quoted(folder / "out"));
+  ASSERT_EQ(outcome.code, 0) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("deviation_scale=["));
+  const json result = read(folder / "out/estimation.json");
+  EXPECT_EQ(result["method"], "posterior");
+  EXPECT_EQ(result["goals"], "test");
+  EXPECT_EQ(result["n"], 2);
+  for (const char* property : {"friction", "bend", "stretch", "thickness"}) {
+    EXPECT_TRUE(result["properties"][property]["abs_error"]["median"].is_number());
+    EXPECT_TRUE(result["columns"]["train"]["plain"]["properties"][property]["interval_score"].is_number());
+  }
+  EXPECT_EQ(result["cases"].size(), 2u);
+  EXPECT_GE(result["cases"][0]["knowledge"].size(), 5u);
+  EXPECT_EQ(result["calibration"]["deviation_scale"].size(), 4u);
+  const Outcome again = weft_command(command + " --json --out " + quoted(folder / "out"));  // all rows are there
+  EXPECT_EQ(json::parse(again.output), result);
+}
+
+TEST(Evaluate, RefusesWhatCannotWorkBeforeAnyWork) {
+  const Folder folder;
+  const auto refused = [&](const std::string& arguments) {
+    const Outcome outcome = weft_command("evaluate " + arguments + " --out " + quoted(folder / "out"));
+    EXPECT_EQ(outcome.code, 2) << outcome.output;
+    EXPECT_FALSE(std::filesystem::exists(folder / "out/fresh"));
+    return outcome.output;
+  };
+  EXPECT_THAT(refused("planning " + kConfig), HasSubstr("model"));
+  EXPECT_THAT(refused("planning " + kConfig + kQuick + "--goals test"), HasSubstr("--data"));
+  EXPECT_THAT(refused("planning " + kConfig + kQuick + "--goals tset"), HasSubstr("tset"));
+  EXPECT_THAT(refused("planning " + kConfig + kQuick + "--widths 2"), HasSubstr("2"));
+  EXPECT_THAT(refused("estimation " + kConfig + kQuick + "--set estimation.method=best"), HasSubstr("plain"));
+  EXPECT_THAT(refused("estimation " + kConfig + kQuick + "--set estimation.deviation_scale=[1]"),
+              HasSubstr("4 numbers"));
+}
+
+}  // namespace
+}  // namespace weft
