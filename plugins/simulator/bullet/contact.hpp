@@ -1,0 +1,104 @@
+#pragma once
+#include <Eigen/Core>
+#include <cstdint>
+#include <vector>
+
+#include "weft/garment.hpp"
+
+namespace weft::bullet {
+
+/// Positions of one substep, as the contacts read and move them. No Bullet type: bullet.cpp copies in and out.
+struct Substep {
+  double seconds = 0.0;
+  double floor = 0.0;                                 ///< m, lowest z of a free vertex; -inf: no ground
+  double friction = 0.0;                              ///< cloth on ground
+  std::vector<Eigen::Vector3d> start;                 ///< m
+  std::vector<Eigen::Vector3d> end;                   ///< m: predicted and linked on entry
+  const std::vector<double>* inverse_mass = nullptr;  ///< 1/kg, zero for held and pinned vertices
+};
+
+/// Contact of the cloth with itself and with the ground: position corrections within a substep.
+///
+/// Every vertex-face and edge-edge pair that may come closer than the thickness in this substep is a contact. Its
+/// normal n is the direction between the closest points at the start of the substep, where nothing intersects. It asks
+///  - that the closest points end at least the thickness apart along n (if they start closer: no closer, and rising
+///    slowly, so that an overlap is no source of speed);
+///  - Coulomb: the tangential move of the closest points relative to one another is taken back by at most mu times the
+///    normal correction;
+///  - the certificate: every vertex of the one stays on its side of every vertex of the other along n. Distances along
+///  n
+///    between two vertices that move straight are linear in time and positive at the start, so a plane separates the
+///    two throughout the substep: a pair with a certificate has not crossed. Where corrections fail to restore a
+///    certificate, the vertices of the pair move as one, which keeps all their distances.
+class SelfContact {
+ public:
+  /// @param thickness m, distance of mid-surfaces. @param self whether layers of cloth see one another.
+  SelfContact(const Garment& garment, double thickness, double self_friction, bool self);
+
+  /// Forgets everything: what follows depends on the positions given and on nothing else.
+  void begin_frame(const std::vector<Eigen::Vector3d>& positions);
+  /// Corrects substep.end.
+  void resolve(Substep& substep, int passes);
+
+  Index touching() const { return touching_; }        ///< self-contacts that pushed in the last substep
+  Index uncertified() const { return uncertified_; }  ///< pairs left without a certificate since construction
+
+ private:
+  /// A vertex and a face (v, f0, f1, f2), or two edges (a0, a1, b0, b1).
+  struct Pair {
+    std::int32_t node[4];
+    bool edges;
+    double target;  ///< m
+    double wake;    ///< of travelled_: before, it cannot touch
+  };
+  struct Contact {
+    const Pair* pair;
+    double weight[4];  ///< of the closest points' difference
+    Eigen::Vector3d normal;
+    double gap;         ///< m, at the start
+    double wanted;      ///< m, at the end
+    double mobility;    ///< sum of weight^2 / mass, 1/kg
+    double push = 0.0;  ///< m, sum of the corrections of the gap
+  };
+  struct Box {
+    Eigen::Vector3d low, high;
+  };
+  struct Node {
+    std::int32_t left, right;  ///< children, or -1 and the leaf's primitive
+  };
+  struct Tree {
+    std::vector<Node> nodes;  ///< children after their parent; node 0 is the root
+    std::vector<Box> boxes;
+  };
+
+  static Tree make_tree(const std::vector<Eigen::Vector3d>& centres);
+  template <class BoxOf>
+  static void refit(Tree& tree, const BoxOf& box_of);
+  template <class Visit>
+  static void overlapping(const Tree& tree, const Box& box, std::vector<std::int32_t>& stack, const Visit& visit);
+
+  void find_pairs(const std::vector<Eigen::Vector3d>& x);
+  double rest_distance(const Pair& pair) const;
+  void make_contacts(const Substep& substep);
+  void push_apart(Substep& substep);
+  void push_off_ground(Substep& substep);
+  void rub(Substep& substep);
+  void certify(Substep& substep);
+
+  double thickness_, self_friction_;
+  bool self_;
+  Faces faces_;
+  Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_;
+  std::vector<Eigen::Vector3d> rest_;
+  std::vector<std::int32_t> piece_;  ///< connected component of each vertex
+  Tree face_tree_, edge_tree_;
+
+  std::vector<Pair> pairs_;
+  std::vector<Contact> contacts_;
+  std::vector<double> lifted_;  ///< m, by the ground in this substep
+  double travelled_ = 0.0;      ///< m, bound on the relative motion of any two vertices since begin_frame()
+  double found_at_ = 0.0;       ///< travelled_ at the last find_pairs()
+  Index touching_ = 0, uncertified_ = 0;
+};
+
+}  // namespace weft::bullet

@@ -1,0 +1,294 @@
+#include "links.hpp"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <numbers>
+#include <numeric>
+#include <utility>
+
+namespace weft::bullet {
+namespace {
+
+// A quartic form of the direction is known from its values along six directions of the half circle.
+constexpr int kDirections = 6;
+using Form = std::array<double, kDirections>;
+
+Vec2 direction(int j) {
+  const double angle = std::numbers::pi * j / kDirections;
+  return {std::cos(angle), std::sin(angle)};
+}
+
+/// Something whose energy is its coefficient times a form of the strain's (or curvature's) direction.
+struct Element {
+  Form form{};         ///< energy per coefficient, times two
+  double guess = 0.0;  ///< of the coefficient
+  std::array<int, 2> face{-1, -1};
+};
+
+/// Where the energy of an element lies: in its faces, and so around their vertices.
+struct Part {
+  int vertex;
+  double share;  ///< of the element's faces that lie around the vertex
+};
+
+struct Patches {
+  std::vector<double> area;              ///< m^2, of the faces around each vertex
+  std::vector<std::vector<Part>> parts;  ///< of each element
+
+  Patches(const std::vector<Element>& elements, const Faces& faces, const std::vector<double>& areas, Index vertices)
+      : area(vertices, 0.0), parts(elements.size()) {
+    for (Index f = 0; f < faces.rows(); ++f)
+      for (int k = 0; k < 3; ++k) area[faces(f, k)] += areas[f];
+    for (std::size_t e = 0; e < elements.size(); ++e) {
+      const int count = elements[e].face[1] < 0 ? 1 : 2;
+      for (int side = 0; side < count; ++side)
+        for (int k = 0; k < 3; ++k) {
+          const int v = faces(elements[e].face[side], k);
+          auto at = std::find_if(parts[e].begin(), parts[e].end(), [&](const Part& part) { return part.vertex == v; });
+          if (at == parts[e].end()) at = parts[e].insert(at, Part{v, 0.0});
+          at->share += 1.0 / count;
+        }
+    }
+  }
+};
+
+/// Young's modulus times thickness along (c, s), from a compliance: 1 / (p p : S : p p).
+double modulus(const Eigen::Matrix3d& compliance, const Vec2& p) {
+  const Eigen::Vector3d load(p.x() * p.x(), p.y() * p.y(), p.x() * p.y());
+  return 1.0 / load.dot(compliance * load);
+}
+
+/// Scales edges by a function of their direction alone, until the mean network has the wanted modulus along every edge,
+/// the sides being free to contract and to shear: k <- k (wanted / present)^1/2, over and over.
+/// Where a mesh has few directions (a grid has three) the closest form C(p) is not the closest modulus.
+void match_moduli(std::vector<double>& k, const std::vector<Vec2>& directions, const std::vector<double>& lengths,
+                  const Eigen::Matrix3d& wanted, double area) {
+  constexpr int sweeps = 40;
+  for (int sweep = 0; sweep < sweeps; ++sweep) {
+    Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
+    for (std::size_t e = 0; e < k.size(); ++e) {
+      const Vec2& n = directions[e];
+      const Eigen::Vector3d strain(n.x() * n.x(), n.y() * n.y(), n.x() * n.y());
+      stiffness += (k[e] * lengths[e] * lengths[e] / area) * strain * strain.transpose();
+    }
+    const Eigen::Matrix3d compliance = stiffness.inverse();
+    for (std::size_t e = 0; e < k.size(); ++e)
+      k[e] *= std::sqrt(modulus(wanted, directions[e]) / modulus(compliance, directions[e]));
+  }
+}
+
+/// Coefficients c >= 0 whose energy per area around every vertex is closest to `target`, relative, in all directions:
+///     min sum_v sum_j A_v/A (sum_e c_e form_e[j] share_ev / (A_v target[j]) - 1)^2 + tie sum_e A_e/A (c_e/guess_e -
+///     1)^2
+/// by coordinate descent. @param misfit root mean square.
+std::vector<double> fit_form(const std::vector<Element>& elements, const Form& target, const Patches& patches,
+                             const std::vector<double>& areas, double& misfit) {
+  constexpr double tie = 1.0;  // less fits better, and more unevenly: uneven networks are softer than their mean
+  constexpr int sweeps = 60;
+  const auto& parts = patches.parts;
+  const auto& patch = patches.area;
+  const auto vertices = static_cast<Index>(patch.size());
+  const std::size_t n = elements.size();
+  double whole = 0.0;
+  for (const double a : areas) whole += a;
+  std::vector<double> area(n, 0.0);
+  for (std::size_t e = 0; e < n; ++e)
+    for (const int f : elements[e].face)
+      if (f >= 0) area[e] += areas[f] / 3.0;
+
+  // Relative energy per area of an element at its guess, then one scale for all guesses, then each on its own.
+  const auto relative = [&](std::size_t e, const Part& part, int j) {
+    return elements[e].guess * elements[e].form[j] * part.share / (patch[part.vertex] * target[j]);
+  };
+  std::vector<Form> residual(vertices, Form{});
+  double top = 0.0, bottom = 0.0;
+  for (std::size_t e = 0; e < n; ++e)
+    for (const Part& part : parts[e])
+      for (int j = 0; j < kDirections; ++j) residual[part.vertex][j] += relative(e, part, j);
+  for (Index v = 0; v < vertices; ++v)
+    for (const double r : residual[v]) {
+      top += patch[v] * r;
+      bottom += patch[v] * r * r;
+    }
+  const double scale = bottom > 0.0 ? top / bottom : 0.0;
+  for (auto& form : residual)
+    for (double& r : form) r = scale * r - 1.0;
+  std::vector<double> factor(n, scale);
+  for (int sweep = 0; sweep < sweeps; ++sweep)
+    for (std::size_t e = 0; e < n; ++e) {
+      double slope = tie * area[e] * (factor[e] / scale - 1.0) / scale, curve = tie * area[e] / (scale * scale);
+      for (const Part& part : parts[e])
+        for (int j = 0; j < kDirections; ++j) {
+          const double a = relative(e, part, j), weight = patch[part.vertex] / (3.0 * kDirections);
+          slope += weight * a * residual[part.vertex][j];
+          curve += weight * a * a;
+        }
+      const double next = std::max(0.0, factor[e] - slope / curve), change = next - factor[e];
+      factor[e] = next;
+      for (const Part& part : parts[e])
+        for (int j = 0; j < kDirections; ++j) residual[part.vertex][j] += change * relative(e, part, j);
+    }
+  double sum = 0.0;
+  for (Index v = 0; v < vertices; ++v)
+    for (const double r : residual[v]) sum += patch[v] * r * r / (3.0 * kDirections * whole);
+  misfit = std::sqrt(sum);
+  std::vector<double> coefficients(n);
+  for (std::size_t e = 0; e < n; ++e) coefficients[e] = factor[e] * elements[e].guess;
+  return coefficients;
+}
+
+struct Hinge {
+  std::array<int, 4> node{};       ///< the edge's ends, then the two opposite corners
+  std::array<double, 4> weight{};  ///< m, 1/m
+};
+
+}  // namespace
+
+SpringNetwork spring_network(const Garment& garment, const Fabric& fabric) {
+  const RestPositions& rest = garment.rest;
+  const Faces& faces = garment.faces;
+  const Index vertices = garment.vertex_count();
+  const auto at = [&](int v) { return Vec2(rest(v, 0), rest(v, 1)); };
+
+  SpringNetwork network;
+  network.vertex_masses.assign(vertices, 0.0);
+  std::vector<double> areas(faces.rows());
+  std::map<std::pair<int, int>, std::array<int, 2>> faces_of_edge;
+  for (Index f = 0; f < faces.rows(); ++f) {
+    const Vec2 u = at(faces(f, 1)) - at(faces(f, 0)), v = at(faces(f, 2)) - at(faces(f, 0));
+    areas[f] = 0.5 * std::abs(u.x() * v.y() - u.y() * v.x());
+    for (int k = 0; k < 3; ++k) {
+      network.vertex_masses[faces(f, k)] += fabric.density_kg_per_m2 * areas[f] / 3.0;
+      const auto key = std::minmax(faces(f, k), faces(f, (k + 1) % 3));
+      const auto [place, fresh] = faces_of_edge.try_emplace(key, std::array<int, 2>{static_cast<int>(f), -1});
+      if (!fresh) place->second[1] = static_cast<int>(f);
+    }
+  }
+
+  // Moduli. Of tables: C = 2 c and B = ke / 4 at zero strain and curvature (docs/file-formats.md); rows of bending name
+  // the axis, so row 0 is bending along weft.
+  double warp = fabric.stretch_warp_n_per_m, weft = fabric.stretch_weft_n_per_m, shear = fabric.stretch_shear_n_per_m;
+  double bend_warp = fabric.bend_warp_n_m, bend_weft = fabric.bend_weft_n_m, bend_bias = fabric.bend_bias_n_m;
+  if (fabric.tables) {
+    const auto& c = fabric.tables->stretching[0];
+    const double m = fabric.stretch_multiplier;
+    const double c11 = 2 * m * std::max(c[0], 0.0), c12 = 2 * m * std::max(c[1], 0.0),
+                 c22 = 2 * m * std::max(c[2], 0.0);
+    warp = c11 - (c22 > 0.0 ? c12 * c12 / c22 : 0.0);
+    weft = c22 - (c11 > 0.0 ? c12 * c12 / c11 : 0.0);
+    shear = m * std::max(c[3], 0.0);
+    const auto& ke = fabric.tables->bending;
+    bend_weft = fabric.bend_multiplier * ke[0][0] / 4;
+    bend_bias = fabric.bend_multiplier * ke[1][0] / 4;
+    bend_warp = fabric.bend_multiplier * ke[2][0] / 4;
+  }
+  // C11 = K_warp + G^2 / C22 and C22 = K_weft + G^2 / C11 with C12 = C33 = G.
+  const double mean = std::sqrt(warp * weft);
+  network.shear_n_per_m = shear =
+      std::min(shear, kLargestCoupling / (1.0 - kLargestCoupling * kLargestCoupling) * mean);
+  const double root = 0.5 * (mean + std::sqrt(mean * mean + 4.0 * shear * shear));
+  const double c11 = warp * root / mean, c22 = weft * root / mean;
+  network.poisson = shear / c22;
+  const auto quartic = [](const Vec2& p, double a, double b, double both) {
+    const double c = p.x() * p.x(), s = p.y() * p.y();
+    return a * c * c + b * s * s + both * c * s;
+  };
+  const auto stretch = [&](const Vec2& p) { return quartic(p, c11, c22, 6.0 * shear); };
+  const auto bend = [&](const Vec2& p) {
+    return quartic(p, bend_warp, bend_weft, 4.0 * bend_bias - bend_warp - bend_weft);
+  };
+  Eigen::Matrix3d compliance;
+  compliance << 1.0 / warp, -network.poisson / warp, 0.0, -network.poisson / warp, 1.0 / weft, 0.0, 0.0, 0.0,
+      1.0 / shear;
+  Form stretch_target{}, bend_target{};
+  for (int j = 0; j < kDirections; ++j) {
+    stretch_target[j] = stretch(direction(j));
+    bend_target[j] = std::max(0.0, bend(direction(j)));
+  }
+
+  std::vector<Element> edges, hinge_elements;
+  std::vector<Hinge> hinges;
+  std::vector<Vec2> directions;
+  std::vector<double> lengths;
+  for (const auto& [ends, beside] : faces_of_edge) {
+    const auto [a, b] = ends;
+    const Vec2 along = at(b) - at(a);
+    const double length = along.norm();
+    const Vec2 n = along / length;
+    network.springs.push_back({a, b, length, 0.0, 0.0});
+    Element edge;
+    edge.face = beside;
+    for (int j = 0; j < kDirections; ++j) edge.form[j] = length * length * std::pow(n.dot(direction(j)), 4);
+    const double area = areas[beside[0]] + (beside[1] < 0 ? 0.0 : areas[beside[1]]);
+    edge.guess = stretch(n) * area / (length * length);
+    edges.push_back(edge);
+    directions.push_back(n);
+    lengths.push_back(length);
+    if (beside[1] < 0) continue;
+
+    Hinge hinge;
+    hinge.node = {a, b, -1, -1};
+    for (int side = 0; side < 2; ++side)
+      for (int k = 0; k < 3; ++k)
+        if (const int v = faces(beside[side], k); v != a && v != b) hinge.node[2 + side] = v;
+    // Weights of the opposite corners: 1 / height. Those of the ends annul affine functions.
+    for (int side = 0; side < 2; ++side) {
+      const Vec2 off = at(hinge.node[2 + side]) - at(a);
+      const double height = std::abs(n.x() * off.y() - n.y() * off.x()), part = n.dot(off) / length;
+      hinge.weight[2 + side] = 1.0 / height;
+      hinge.weight[0] -= (1.0 - part) / height;
+      hinge.weight[1] -= part / height;
+    }
+    // The angle of the surface z = (xx x^2 + 2 xy x y + yy y^2) / 2.
+    double xx = 0.0, yy = 0.0, xy = 0.0;
+    for (int k = 0; k < 4; ++k) {
+      const Vec2 p = at(hinge.node[k]) - at(a);
+      xx += 0.5 * hinge.weight[k] * p.x() * p.x();
+      yy += 0.5 * hinge.weight[k] * p.y() * p.y();
+      xy += hinge.weight[k] * p.x() * p.y();
+    }
+    Element element;
+    element.face = beside;
+    for (int j = 0; j < kDirections; ++j) {
+      const Vec2 p = direction(j);
+      const double angle = xx * p.x() * p.x() + yy * p.y() * p.y() + xy * p.x() * p.y();
+      element.form[j] = angle * angle;
+    }
+    element.guess = std::max(0.0, bend(Vec2(-n.y(), n.x()))) * length * length / area;
+    hinge_elements.push_back(element);
+    hinges.push_back(hinge);
+  }
+
+  auto stiffness =
+      fit_form(edges, stretch_target, Patches(edges, faces, areas, vertices), areas, network.stretch_misfit);
+  match_moduli(stiffness, directions, lengths, compliance, std::accumulate(areas.begin(), areas.end(), 0.0));
+  for (std::size_t e = 0; e < stiffness.size(); ++e) network.springs[e].stiffness = stiffness[e];
+  if (*std::min_element(bend_target.begin(), bend_target.end()) <= 0.0) return network;  // no bending stiffness
+
+  std::map<std::pair<int, int>, std::size_t> spring_of;
+  for (std::size_t e = 0; e < network.springs.size(); ++e) spring_of[{network.springs[e].a, network.springs[e].b}] = e;
+  const auto hinge_stiffness = fit_form(hinge_elements, bend_target, Patches(hinge_elements, faces, areas, vertices),
+                                        areas, network.bend_misfit);
+  for (std::size_t h = 0; h < hinges.size(); ++h)
+    for (int i = 0; i < 4; ++i)
+      for (int j = i + 1; j < 4; ++j) {
+        const auto ends = std::minmax(hinges[h].node[i], hinges[h].node[j]);
+        const auto [place, fresh] = spring_of.try_emplace(ends, network.springs.size());
+        if (fresh)
+          network.springs.push_back({ends.first, ends.second, (at(ends.first) - at(ends.second)).norm(), 0, 0});
+        network.springs[place->second].pre_stress -= hinge_stiffness[h] * hinges[h].weight[i] * hinges[h].weight[j];
+      }
+  for (std::size_t e = 0; e < edges.size(); ++e) {
+    Spring& spring = network.springs[e];
+    const double least = kStiffnessPerPreStress * std::abs(spring.pre_stress);
+    if (spring.stiffness >= least) continue;
+    network.raised_share += 1.0 / static_cast<double>(edges.size());
+    spring.stiffness = least;
+  }
+  return network;
+}
+
+}  // namespace weft::bullet
