@@ -97,6 +97,16 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   for (const char* key : {"by_step", "by_step_from_random", "by_step_no_knowledge"})
     EXPECT_FALSE(figures.at(key).empty());
   EXPECT_THAT(bytes_of(folder / "e/prediction.csv"), HasSubstr("settled.no_knowledge"));
+
+  // Even this model is good enough to plan with.
+  const Outcome folded = weft_command(
+      "run '" WEFT_SOURCE_DIR "/configs/tasks/towel_fold.yaml' --jobs 2 --json --set garment='" WEFT_SOURCE_DIR
+      "/configs/garments/towel_coarse.yaml' --set planning.instances=8 --set planning.iterations=40 --set "
+      "planning.replan_iterations=10 --set predictor=\"{plugin: emd, params: {model: " +
+      quoted(folder / "a/model.h5") + "}}\" --out " + quoted(folder / "r"));
+  ASSERT_EQ(folded.code, 0) << folded.output;
+  const auto summary = nlohmann::json::parse(folded.output);
+  EXPECT_LT(summary.at("error_mm").get<double>(), 0.6 * summary.at("default_error_mm").get<double>());
 }
 
 TEST(Learning, WrongUseSaysWhy) {

@@ -233,7 +233,7 @@ Model untrained_model(Architecture architecture, const Task& task, std::uint64_t
   add(0.0, 0.5);
   for (int p = 0; p < 4; ++p) add(0.5, 0.29);
   for (int p = 0; p < 4; ++p) add(0.33, 0.3);
-  m.calibration.assign(4, 1.0f);
+  m.calibration = {1.0f, 0.9f, 1.3f, 1.4f, 1.1f, 1.0f, 1.2f, 1.5f};  // any, so that tests see them
   return m;
 }
 
