@@ -67,10 +67,13 @@ GenerateReport generate_dataset(const Task& task, const DataParams& params, cons
   const auto started = std::chrono::steady_clock::now();
   GenerateReport report;
   fs::create_directories(options.folder);
-  // A run that was killed leaves its temporary file.
+  // A run that was killed leaves its temporary file. Those of other parts may be in the making.
   for (const auto& entry : fs::directory_iterator(options.folder)) {
+    long long number = 0;
+    int used = 0;
     const auto name = entry.path().filename().string();
-    if (name.rfind("shard-", 0) == 0 && name.find(".h5.tmp") != std::string::npos && options.shard_count == 1)
+    if (std::sscanf(name.c_str(), "shard-%lld.h5.tmp%n", &number, &used) == 1 && used > 0 &&
+        number % options.shard_count == options.shard_index)
       fs::remove(entry.path());
   }
   const std::int64_t size = params.shard_examples;
