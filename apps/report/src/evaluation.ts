@@ -213,9 +213,9 @@ function estimationPart(page: PageData, estimation: EstimationData): HTMLElement
   const variants = Object.entries(estimation.columns ?? {}).flatMap(([source, methods]) => Object.entries(methods).map(([method, figures]) => ({ source, method, figures })));
   const comparison = variants.length < 2 ? null : h('div', { class: 'wide' }, section('estimation-columns', 'Methods and sources of cases', 'Median |c − q|, and in brackets the share of true values in the middle 80 % of the interval.',
     h('div', { class: 'scroll' }, h('table', {},
-      h('thead', {}, h('tr', {}, ...['Cases', 'Method', 'n', ...columns.map(label)].map((text) => h('th', { scope: 'col' }, text)))),
+      h('thead', {}, h('tr', {}, ...['Cases', 'Method', 'n', ...columns.map(label)].map((text, i) => h('th', { scope: 'col', class: i < 2 ? 'text' : '' }, text)))),
       h('tbody', {}, ...variants.map(({ source, method, figures }) => h('tr', {}, ...[source, method, String(figures.n),
-        ...columns.map((p) => `${fixed(figures.properties[p]?.abs_error.median, 3)} (${fixed(figures.properties[p]?.coverage['0.8'], 2)})`)].map((text) => h('td', {}, text)))))))));
+        ...columns.map((p) => `${fixed(figures.properties[p]?.abs_error.median, 3)} (${fixed(figures.properties[p]?.coverage['0.8'], 2)})`)].map((text, i) => h('td', { class: i < 2 ? 'text' : '' }, text)))))))));
   return h('div', { class: 'figures', id: 'estimation' },
     h('div', { class: 'wide' }, section('estimation-table', 'Estimation: results beside the paper’s (Table 1)', null, h('div', { class: 'scroll' }, table))),
     h('div', { class: 'wide' }, section('estimation-cases', 'Estimates over segments (Fig. 4)', 'Band c ± w/2, centre c, and the true value as a dotted line.', cases.length ? choice.element : null, charts)),

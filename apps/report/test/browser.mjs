@@ -295,6 +295,37 @@ async function realPrediction() {
   await page.close();
 }
 
+/** Pages of the commands themselves, with an untrained network on a coarse towel. */
+async function realEvaluations() {
+  const quick = [`${sources}/configs/experiments/towel_small.yaml`, '--set', 'predictor.params.untrained=true', '--set', 'planning={instances: 2, iterations: 1, replan_iterations: 0}',
+    '--set', 'estimation={instances: 2, iterations: 2, later_iterations: 1}', '--set', 'goal.random.min_distance_mm=5', '--set', 'max_segments=12', '--cases', '2', '--quiet'];
+  run(weft, 'evaluate', 'planning', ...quick, '--widths', '0.1', '1', '--out', path.join(folder, 'real-planning'));
+  const planning = json('real-planning', 'planning.json');
+  let page = await open(path.join(folder, 'real-planning', 'report.html'));
+  await nextFrames(page);
+  assert.equal(await shown(page, 'median_mm'), planning.by_width[0].median_mm.toFixed(1));
+  assert.match(await text(page, '#case-note'), new RegExp(`^Case 1, goal 1: ${planning.cases[0].error_mm.toFixed(1)} mm`));
+  assert.ok((await look(page)).coloured > 3000);
+  await page.locator('#case-next').click();
+  assert.match(await text(page, '#case-note'), new RegExp(`^Case 2, goal 2: ${planning.cases[1].error_mm.toFixed(1)} mm`));
+  assert.deepEqual(page.problems, []);
+  await page.close();
+
+  run(weft, 'evaluate', 'estimation', ...quick, '--out', path.join(folder, 'real-estimation'));
+  const { properties, cases } = json('real-estimation', 'estimation.json');
+  page = await open(path.join(folder, 'real-estimation', 'report.html'));
+  await nextFrames(page);
+  for (const name of ['bend', 'friction', 'stretch', 'thickness']) {
+    const { mean, sd, median } = properties[name].abs_error;
+    assert.equal(await shown(page, `${name} |c − q|`), `${mean.toFixed(3)} (${sd.toFixed(3)}), median ${median.toFixed(3)}`);
+  }
+  await page.locator('#estimation-case-next').click();
+  const last = cases[1].knowledge.at(-1);
+  assert.match(await text(page, '#fig-4'), new RegExp(`${last.centre[0].toFixed(2)} ± ${(last.width[0] / 2).toFixed(2)}, true ${cases[1].true_material[0].toFixed(2)}`));
+  assert.deepEqual(page.problems, []);
+  await page.close();
+}
+
 async function ablationPage() {
   const page = await open(path.join(folder, 'ablation', 'report.html'));
   const ablation = json('ablation', 'ablation.json');
@@ -370,6 +401,7 @@ try {
   await realSession();
   await evaluationPage();
   await realPrediction();
+  await realEvaluations();
   await ablationPage();
   await realAblation();
   await exports();
