@@ -370,6 +370,28 @@ TEST(EmdPredictor, NeedsAModelAndRefusesOneOfAnotherTask) {
   EXPECT_THAT(host.messages_, HasSubstr("another material space"));
 }
 
+TEST(EmdPredictor, NamesTheControlsThatItsModelHasSeen) {
+  const Folder folder;
+  TestHost host;
+  const Task task = patch_task();
+  Model model = untrained_model(small(), task, 1);
+  model.control_low[2] = -0.25;
+  model.control_high[2] = 0.125;
+  save_model(folder / "m.h5", model, true);
+  Params params;
+  params.model = folder / "m.h5";
+  EmdPredictor predictor(params, host);
+  EXPECT_THROW(predictor.control_range(), Error);
+  predictor.bind(task);
+  const auto range = predictor.control_range();
+  ASSERT_TRUE(range.has_value());
+  EXPECT_EQ(range->lower(2), -0.25);
+  EXPECT_EQ(range->upper(2), 0.125);
+  const auto variables = task.trajectory->controls();
+  ASSERT_EQ(range->dim(), static_cast<Index>(variables.size()));
+  EXPECT_EQ(range->upper(0), variables[0].upper);
+}
+
 TEST(EmdModel, ComesBackAsItWasAndDamageIsRefused) {
   const Folder folder;
   Model model = untrained_model(small(), patch_task(), 1);
