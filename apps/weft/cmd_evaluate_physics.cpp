@@ -15,13 +15,14 @@ namespace {
 
 /// configs/experiments/physics.yaml: a task, the same simulator at finer steps, the suite's sizes.
 struct PhysicsExperimentParams : SessionParams {
-  ConfigNode finer;
+  ConfigNode finer, other;
   PhysicsParams physics;
 
   template <class Visitor>
   void visit(Visitor& v) {
     SessionParams::visit(v);
     v("finer", finer, PluginSlot{"simulator"}, "The simulator at finer steps: shows what depends on the step.");
+    v("other", other, PluginSlot{"simulator"}, "Another simulator, for `paired folds`.");
     v.group("physics", physics, "The physics suite.");
   }
 };
@@ -79,11 +80,13 @@ int evaluate(Context& context, const std::string& file) {
   };
   std::vector<SimulatorVariant> variants{variant("default", task->simulator)};
   if (!params.finer.is_null()) variants.push_back(variant("finer", params.finer));
+  std::vector<SimulatorVariant> pair{variant("default", task->simulator)};
+  if (!params.other.is_null()) pair.push_back(variant("other", params.other));
   std::vector<std::vector<PhysicsRow>> results(cases.size());
   std::mutex printing;
   host->parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {
     if (host->cancelled()) return;
-    results[i] = run_physics_case(cases[i], variants);
+    results[i] = run_physics_case(cases[i], cases[i].test == "paired folds" ? pair : variants);
     const std::lock_guard lock(printing);
     for (const auto& row : results[i]) context.say(format_physics_row(row));
   });

@@ -3,6 +3,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <limits>
@@ -825,6 +826,29 @@ std::vector<PhysicsRow> random_folds(const SimulatorVariant& variant, const std:
   return rows;
 }
 
+/// The same fold, fabric and hands in two simulators: how far apart the settled shapes are. The note has what each
+/// cost.
+std::vector<PhysicsRow> paired_fold(const std::vector<SimulatorVariant>& variants, const std::string& name,
+                                    const Task& task, const RandomFold& fold) {
+  if (variants.size() < 2) throw Error("paired folds need a second simulator, `other`");
+  std::array<Positions, 2> shapes;
+  std::string note;
+  for (std::size_t k = 0; k < 2; ++k) {
+    const auto simulator = variants[k].make();
+    const auto start = std::chrono::steady_clock::now();
+    const FoldResult result = simulate_fold(*simulator, task, fold.material, fold.controls);
+    if (!result.released) simulator->release(), simulator->settle(task.settle);
+    const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
+    shapes[k] = simulator->positions();
+    note += (k == 0 ? "" : "; ") + variants[k].name +
+            text(" %.1f ms/frame", 1e3 * seconds.count() / static_cast<double>(simulator->frame())) +
+            text(", %.0f crossings", static_cast<double>(count_intersections(shapes[k], task.garment->faces)));
+  }
+  // Two models of cloth: no bound follows from either. A fold gone another way would be off by decimetres.
+  const double apart = mean_distance_mm(shapes[0], shapes[1]);
+  return {row("paired folds", variants[1], name, "mean vertex distance mm", 0.0, apart, apart, 100.0, note)};
+}
+
 void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const std::shared_ptr<const Task>& task) {
   if (!task) return;
   constexpr std::uint64_t kGroup = 10;
@@ -835,6 +859,12 @@ void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const st
     const std::string name = "seeds " + std::to_string(from) + " to " + std::to_string(to - 1);
     cases.push_back({"folds", name, [=](const std::vector<SimulatorVariant>& variants) {
                        return random_folds(variants[0], name, *task, p.folds, from, to);
+                     }});
+  }
+  for (std::uint64_t seed = first; seed < first + static_cast<std::uint64_t>(p.folds.paired); ++seed) {
+    const std::string name = "seed " + std::to_string(seed);
+    cases.push_back({"paired folds", name, [=](const std::vector<SimulatorVariant>& variants) {
+                       return paired_fold(variants, name, *task, random_fold(*task, p.folds, seed));
                      }});
   }
   // The settled shape of the default fold.
@@ -867,9 +897,9 @@ void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const st
 }  // namespace
 
 std::vector<std::string> physics_test_names() {
-  return {"elastica",     "orthotropy", "hanging",        "catenary",  "incline",    "cloth on cloth",
-          "thrown sheet", "crease",     "garment crease", "folds",     "properties", "free fall",
-          "rest",         "momentum",   "energy",         "refinement"};
+  return {"elastica",     "orthotropy", "hanging",        "catenary", "incline",      "cloth on cloth",
+          "thrown sheet", "crease",     "garment crease", "folds",    "paired folds", "properties",
+          "free fall",    "rest",       "momentum",       "energy",   "refinement"};
 }
 
 std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task) {

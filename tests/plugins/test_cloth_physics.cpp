@@ -16,7 +16,8 @@ TEST_P(Physics, IsWithinItsBounds) {
   const auto host = make_host(registry, HostOptions{1, 0, nullptr, nullptr});
   const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/experiments/physics.yaml");
   std::shared_ptr<const Task> task;
-  if (GetParam() == "garment crease" || GetParam() == "folds" || GetParam() == "properties") {
+  if (GetParam() == "garment crease" || GetParam() == "folds" || GetParam() == "paired folds" ||
+      GetParam() == "properties") {
     TaskParams params;
     read_params(ConfigNode::mapping({{"garment", config.at("garment")},
                                      {"material", config.at("material")},
@@ -29,7 +30,8 @@ TEST_P(Physics, IsWithinItsBounds) {
   PhysicsParams params;
   read_params(config.at("physics"), params);
   params.tests = {GetParam()};
-  params.folds.count = 6;  // `weft evaluate physics` runs 200
+  params.folds.count = 6;   // `weft evaluate physics` runs 200
+  params.folds.paired = 1;  // with its finer self
   const auto variant = [&](const char* name, const char* key) {
     return SimulatorVariant{name, [&host, slot = config.at(key)] { return host->create<Simulator>(slot); }};
   };

@@ -43,6 +43,7 @@ struct PhysicsParams {
   struct Folds {
     std::int64_t first_seed = 1;
     std::int64_t count = 200;
+    std::int64_t paired = 0;
     std::int64_t horizon = 25;
     double grasp_radius_m = 0.05;
     RandomControlsParams controls;
@@ -50,6 +51,8 @@ struct PhysicsParams {
     void visit(Visitor& v) {
       v("first_seed", first_seed, range(0, 1000000000), "Seed of the first random fold; the others count up.");
       v("count", count, range(0, 1000000), "Number of random folds.");
+      v("paired", paired, range(0, 1000000),
+        "Number of random folds, from the same first seed, that two simulators do alike (test `paired folds`).");
       v("horizon", horizon, range(1, 1000, "segments"), "Longest path; it ends where the hands let go.");
       v("grasp_radius_m", grasp_radius_m, range(0, 1, "m"),
         "Faces with a vertex that lies this close to a grasped one at rest do not count as strained cloth: the strain "
