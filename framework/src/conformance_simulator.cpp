@@ -269,10 +269,12 @@ Outcome settle_can_be_split(const Bench& bench) {
     Carry run(bench.make<Simulator>());
     run.run(0, 12);
     run.sim->release();
-    for (Index done = 0; done < 10; done += at_once) run.sim->settle({1e-12, 1, at_once});
+    // What has come to a full stop ends the one call early, and so ends the others.
+    bool stopped = false;
+    for (Index done = 0; done < 5 && !stopped; done += at_once) stopped = run.sim->settle({1e-12, 1, at_once}).settled;
     return run.sim;
   };
-  return {differing_state(*settle(10), *settle(1)), ""};
+  return {differing_state(*settle(5), *settle(1)), ""};
 }
 
 Outcome set_state_is_taken(const Bench& bench) {
@@ -675,7 +677,7 @@ const std::vector<Law>& simulator_laws() {
       {"settle_keeps_held_vertices", "settle() keeps what is held still, and held (m).", 1e-12,
        settle_keeps_held_vertices},
       {"settle_can_be_split",
-       "Ten calls of settle() for a frame each go through the states of one call for ten (numbers that differ).", 0,
+       "Five calls of settle() for a frame each lead where one call for five does (numbers that differ).", 0,
        settle_can_be_split},
       {"set_state_is_taken", "set_state() takes the given state and hands, and drops history (numbers that differ).", 0,
        set_state_is_taken},
