@@ -127,6 +127,22 @@ TEST(Ceres, LevenbergMarquardtTakesFewEvaluationsAndSparesJacobians) {
   EXPECT_GT(jacobians, 0);
 }
 
+TEST(Ceres, AJacobianThatNoIterationWouldUseIsNotAskedFor) {
+  for (const char* method : {"levenberg_marquardt", "dogleg"})
+    for (const Index iterations : {0, 1, 3}) {
+      LeastSquares f = rosenbrock();
+      OptimiserOptions options;
+      options.max_iterations = iterations;
+      const auto r = run(std::string("method: ") + method, f, vec({-1.2, 1.0}), cube(2, 2), Vector::Ones(2), options);
+      const auto jacobians =
+          std::count_if(f.requests.begin(), f.requests.end(), [](const auto& q) { return q.jacobians; });
+      EXPECT_LE(jacobians, iterations) << method;
+      EXPECT_EQ(jacobians == 0, iterations == 0) << method;
+      EXPECT_EQ(r[0].iterations, iterations) << method;
+      EXPECT_EQ(r[0].status, OptimiserStatus::budget_spent) << method;
+    }
+}
+
 TEST(Ceres, LbfgsBeatsSteepestDescentInAValley) {
   LeastSquares f = rosenbrock(), g = rosenbrock();
   OptimiserOptions options;

@@ -69,24 +69,14 @@ int to_int(Index n) { return static_cast<int>(std::min<Index>(n, std::numeric_li
   o.function_tolerance = p.function_tolerance;
   o.gradient_tolerance = p.gradient_tolerance;
   o.parameter_tolerance = p.parameter_tolerance;
+  // Steps are projected into the box; the line search that Ceres makes along each of them in the presence of bounds
+  // would ask for a Jacobian at every trial.
+  o.max_num_line_search_step_size_iterations = 0;
   o.num_threads = 1;  // evaluations stay on the instance's own thread
   o.logging_type = ::ceres::SILENT;
   o.minimizer_progress_to_stdout = false;
   return o;
 }
-
-/// Counts iterations, and ends Ceres once the search is over.
-class Progress final : public ::ceres::IterationCallback {
- public:
-  explicit Progress(PointwiseSearch& search) : search_(search) {}
-  ::ceres::CallbackReturnType operator()(const ::ceres::IterationSummary& summary) override {
-    if (summary.iteration > 0) search_.count_iteration();
-    return search_.over() ? ::ceres::SOLVER_ABORT : ::ceres::SOLVER_CONTINUE;
-  }
-
- private:
-  PointwiseSearch& search_;
-};
 
 /// The variables that the box leaves free; Ceres knows no others.
 struct FreeVariables {
@@ -166,15 +156,25 @@ class LineSearchFunction final : public ::ceres::FirstOrderFunction {
 class Residuals final : public ::ceres::CostFunction {
  public:
   Residuals(PointwiseSearch& search, const Vector& start, const Vector& scale, const FreeVariables& variables,
-            Index residuals)
-      : search_(search), scale_(scale), variables_(variables), x_(start) {
+            Index residuals, Index max_iterations)
+      : search_(search), scale_(scale), variables_(variables), iterations_left_(max_iterations), x_(start) {
     set_num_residuals(static_cast<int>(residuals));
     mutable_parameter_block_sizes()->push_back(static_cast<int>(variables.size()));
   }
+  /// An iteration of the search has ended.
+  void count_iteration() { --iterations_left_; }
+  /// A Jacobian was left out because no iteration was left to use it.
+  bool out_of_iterations() const { return out_of_iterations_; }
+
   bool Evaluate(const double* const* parameters, double* residuals, double** jacobians) const override {
     const double* y = parameters[0];
     for (Index k = 0; k < variables_.size(); ++k) x_[variables_[k]] = y[k] * scale_[variables_[k]];
-    const bool wants_jacobian = jacobians != nullptr && jacobians[0] != nullptr;
+    const bool asks_jacobian = jacobians != nullptr && jacobians[0] != nullptr;
+    // Ceres asks for the Jacobian at the start and within every iteration that went downhill, before it counts that
+    // iteration: the last one is for nothing, and costs as much as all of a search with the simulator as predictor.
+    const bool is_last = asks_jacobian && iterations_left_ <= (has_started_ ? 1 : 0);
+    const bool wants_jacobian = asks_jacobian && !is_last;
+    has_started_ = has_started_ || asks_jacobian;
     const PointValue* value = search_.evaluate(x_, {.residuals = true, .jacobians = wants_jacobian});
     if (value == nullptr || !value->finite) return false;
     Eigen::Map<Vector>(residuals, num_residuals()) = value->residuals;
@@ -182,6 +182,9 @@ class Residuals final : public ::ceres::CostFunction {
       Eigen::Map<RowMajor> jacobian(jacobians[0], num_residuals(), variables_.size());
       for (Index k = 0; k < variables_.size(); ++k)
         jacobian.col(k) = value->jacobian.col(variables_[k]) * scale_[variables_[k]];
+    } else if (is_last) {
+      std::fill_n(jacobians[0], num_residuals() * variables_.size(), 0.0);  // a gradient of 0 ends Ceres
+      out_of_iterations_ = true;
     }
     return true;
   }
@@ -190,7 +193,27 @@ class Residuals final : public ::ceres::CostFunction {
   PointwiseSearch& search_;
   const Vector& scale_;
   const FreeVariables& variables_;
+  Index iterations_left_;
+  mutable bool has_started_ = false, out_of_iterations_ = false;
   mutable Vector x_;
+};
+
+/// Counts iterations, and ends Ceres once the search is over.
+class Progress final : public ::ceres::IterationCallback {
+ public:
+  /// @param residuals those of a least squares search, or null.
+  explicit Progress(PointwiseSearch& search, Residuals* residuals = nullptr) : search_(search), residuals_(residuals) {}
+  ::ceres::CallbackReturnType operator()(const ::ceres::IterationSummary& summary) override {
+    if (summary.iteration > 0) {
+      search_.count_iteration();
+      if (residuals_ != nullptr) residuals_->count_iteration();
+    }
+    return search_.over() ? ::ceres::SOLVER_ABORT : ::ceres::SOLVER_CONTINUE;
+  }
+
+ private:
+  PointwiseSearch& search_;
+  Residuals* residuals_;
 };
 
 SolverOutcome outcome(const PointwiseSearch& search, ::ceres::TerminationType type, const std::string& message) {
@@ -260,7 +283,8 @@ std::vector<OptimiserResult> Ceres::minimise(Objective& objective, ConstMatrix s
     Vector y(variables.size());
     for (Index k = 0; k < y.size(); ++k) y[k] = start[variables[k]] / scale[variables[k]];
     ::ceres::Problem problem;
-    problem.AddResidualBlock(new Residuals(search, start, scale, variables, residuals), nullptr, y.data());
+    auto* function = new Residuals(search, start, scale, variables, residuals, options.max_iterations);
+    problem.AddResidualBlock(function, nullptr, y.data());  // owns it
     for (Index k = 0; k < y.size(); ++k) {
       const Index i = variables[k];
       problem.SetParameterLowerBound(y.data(), static_cast<int>(k), bounds.lower[i] / scale[i]);
@@ -268,10 +292,11 @@ std::vector<OptimiserResult> Ceres::minimise(Objective& objective, ConstMatrix s
     }
     auto o = least_squares_options(p_);
     o.max_num_iterations = to_int(options.max_iterations);
-    Progress progress(search);
+    Progress progress(search, function);
     o.callbacks.push_back(&progress);
     ::ceres::Solver::Summary summary;
     ::ceres::Solve(o, &problem, &summary);
+    if (function->out_of_iterations()) return {OptimiserStatus::budget_spent, "maximum number of iterations reached"};
     return outcome(search, summary.termination_type, summary.message);
   };
 
