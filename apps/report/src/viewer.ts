@@ -151,12 +151,13 @@ export class Viewer {
     this.edges = new LineSegments(edgeGeometry(faces, this.cloth.geometry), new LineBasicMaterial({ transparent: true, opacity: 0.6 }));
     this.element = h('div', { class: 'viewer' });
     const canvas = h('canvas', { tabindex: 0, role: 'application', 'aria-roledescription': '3D view', 'aria-label': `3D view of the ${name}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, R resets.` });
-    if (!hasWebGl()) {
+    const drawnBy = webGl();
+    if (!drawnBy) {
       this.element.append(h('p', { class: 'message' }, 'This browser offers no WebGL, which the 3D view needs. The figures and tables below do not.'));
       return;
     }
     this.canvas = canvas;
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, stencil: true, powerPreference: 'high-performance' });
+    this.renderer = new WebGLRenderer({ canvas, antialias: !drawnBy.software, stencil: true, powerPreference: 'high-performance' });
     this.element.append(canvas);
 
     this.shadow.matrixAutoUpdate = false;
@@ -463,13 +464,17 @@ export class Viewer {
 }
 
 /** Asked first, because three.js reports a missing context on the console. */
-function hasWebGl(): boolean {
+/** What draws: null where there is no WebGL. Software renderers cannot afford several samples per pixel. */
+function webGl(): { software: boolean } | null {
   try {
     const context = document.createElement('canvas').getContext('webgl2');
-    context?.getExtension('WEBGL_lose_context')?.loseContext();
-    return context !== null;
+    if (!context) return null;
+    const info = context.getExtension('WEBGL_debug_renderer_info');
+    const name = String(context.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : context.RENDERER));
+    context.getExtension('WEBGL_lose_context')?.loseContext();
+    return { software: /swiftshader|llvmpipe|softpipe|basic render/i.test(name) };
   } catch {
-    return false;
+    return null;
   }
 }
 
