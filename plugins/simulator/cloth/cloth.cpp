@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "weft/error.hpp"
+#include "weft/simulator_checks.hpp"
 
 namespace weft::cloth {
 namespace {
@@ -48,52 +49,17 @@ SimulatorCapabilities Cloth::capabilities() const {
 }
 
 void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) {
-  if (!garment || garment->vertex_count() < 3 || garment->face_count() < 1)
-    throw ConfigError("cloth: garment has no faces, must be a triangle mesh");
-  const auto require = [](bool good, const char* what, double got, const char* wanted) {
-    if (!good)
-      throw ConfigError(std::string("cloth: fabric.") + what + " = " + std::to_string(got) + ", must be " + wanted);
-  };
-  const auto positive = [&](const char* what, double v) { require(std::isfinite(v) && v > 0.0, what, v, "above 0"); };
-  const auto not_negative = [&](const char* what, double v) {
-    require(std::isfinite(v) && v >= 0.0, what, v, "at least 0");
-  };
-  positive("density_kg_per_m2", fabric.density_kg_per_m2);
-  if (!fabric.tables) {
-    positive("stretch_n_per_m.warp", fabric.stretch_warp_n_per_m);
-    positive("stretch_n_per_m.weft", fabric.stretch_weft_n_per_m);
-    not_negative("stretch_n_per_m.shear", fabric.stretch_shear_n_per_m);
-    not_negative("bend_n_m.warp", fabric.bend_warp_n_m);
-    not_negative("bend_n_m.weft", fabric.bend_weft_n_m);
-    not_negative("bend_n_m.bias", fabric.bend_bias_n_m);
-    const double nu = fabric.poisson;
-    require(
-        std::isfinite(nu) && nu >= 0.0 && nu * nu * fabric.stretch_weft_n_per_m < 0.999 * fabric.stretch_warp_n_per_m,
-        "poisson", nu, "at least 0 and below sqrt(K_warp / K_weft)");
-  } else {
-    positive("stretch_multiplier", fabric.stretch_multiplier);
-    not_negative("bend_multiplier", fabric.bend_multiplier);
-  }
-  not_negative("friction", fabric.friction);
-  not_negative("self_friction", fabric.self_friction);
-  not_negative("thickness_m", fabric.thickness_m);
-  if (params_.self_contact) positive("thickness_m", fabric.thickness_m);
-  not_negative("damping.stretch_s", fabric.damping_stretch_s);
-  not_negative("damping.bend_s", fabric.damping_bend_s);
-  not_negative("damping.air_per_s", fabric.damping_air_per_s);
-  if (!scene.gravity.allFinite()) throw ConfigError("cloth: scene.gravity is not finite");
-  if (!scene.initial_velocity.allFinite()) throw ConfigError("cloth: scene.initial_velocity is not finite");
-  if (scene.ground_height && !std::isfinite(*scene.ground_height))
-    throw ConfigError("cloth: scene.ground_height is not finite");
-  const Index n = garment->vertex_count();
-  for (const Index pin : scene.pins)
-    if (pin < 0 || pin >= n)
-      throw ConfigError("cloth: scene.pins holds " + std::to_string(pin) + ", must be in [0, " + std::to_string(n - 1) +
-                        "]");
+  check_reset("cloth", garment.get(), fabric, scene, params_.self_contact);
+  const double nu = fabric.poisson;
+  if (!fabric.tables &&
+      !(std::isfinite(nu) && nu >= 0.0 && nu * nu * fabric.stretch_weft_n_per_m < 0.999 * fabric.stretch_warp_n_per_m))
+    throw ConfigError("cloth: fabric.poisson = " + std::to_string(nu) +
+                      ", must be at least 0 and below sqrt(K_warp / K_weft)");
   if (params_.max_substeps < params_.min_substeps)
     throw ConfigError("cloth: max_substeps = " + std::to_string(params_.max_substeps) +
                       ", must be at least min_substeps = " + std::to_string(params_.min_substeps));
 
+  const Index n = garment->vertex_count();
   garment_ = std::move(garment);
   fabric_ = fabric;
   scene_ = scene;
