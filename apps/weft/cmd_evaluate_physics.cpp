@@ -7,6 +7,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
+#include "page.hpp"
 #include "weft/physics.hpp"
 #include "weft/session.hpp"
 
@@ -29,7 +30,7 @@ struct PhysicsExperimentParams : SessionParams {
 
 std::string to_json(const std::vector<PhysicsRow>& rows) {
   nlohmann::ordered_json list = nlohmann::ordered_json::array();
-  for (const auto& r : rows)
+  for (const auto& r : rows) {
     list.push_back({{"test", r.test},
                     {"case", r.name},
                     {"variant", r.variant},
@@ -40,6 +41,8 @@ std::string to_json(const std::vector<PhysicsRow>& rows) {
                     {"bound", r.bound},
                     {"passed", r.passed},
                     {"note", r.note}});
+    if (!r.by_seed.empty()) list.back()["by_seed"] = r.by_seed;
+  }
   const auto failed = std::count_if(rows.begin(), rows.end(), [](const PhysicsRow& r) { return !r.passed; });
   return nlohmann::ordered_json{{"comparisons", rows.size()}, {"failed", failed}, {"rows", list}}.dump(2) + '\n';
 }
@@ -101,6 +104,7 @@ int evaluate(Context& context, const std::string& file) {
   if (context.json) std::cout << to_json(rows);
   const auto failed = std::count_if(rows.begin(), rows.end(), [](const PhysicsRow& r) { return !r.passed; });
   context.say(std::to_string(rows.size()) + " comparisons, " + std::to_string(failed) + " outside their bound");
+  write_page(context, out);
   context.say("results in " + out.string());
   return failed == 0 ? 0 : 1;
 }

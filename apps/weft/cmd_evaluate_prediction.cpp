@@ -37,6 +37,7 @@ int evaluate(Context& context, const std::string& file, const std::string& data)
   write_text(out / "provenance.json", provenance_json(*registry, *host, seed));
   write_text(out / "prediction.csv", prediction_evaluation_csv(result));
   write_text(out / "prediction.json", json);
+  write_prediction_shapes(result, *task.garment, out / "cases.h5");
   if (context.json) std::cout << json;
   char line[200];
   context.say("settled shape           n   mean mm  median mm     nll  coverage    nse  sigma mm");

@@ -102,7 +102,10 @@ void export_usd(const fs::path& file, const SessionRecord& session, const Timeli
     print_points(out, session.frames[timeline.frames[k]]);
     out.text(",\n");
   }
-  out.text("        }\n    }\n\n");
+  // The default value, for programs that show no animation; three.js would forget it if it came first.
+  out.text("        }\n        point3f[] points = ");
+  print_points(out, session.frames[timeline.frames.front()]);
+  out.text("\n    }\n\n");
   print_mesh(identifier(session.garment_name) == "goal" ? "goal_shape" : "goal", {0.0, 0.25, 0.12}, 0.4);
   out.text("        point3f[] points = ");
   print_points(out, session.goal);

@@ -771,6 +771,8 @@ class Worst {
  public:
   Worst(std::string quantity, double bound) : quantity_(std::move(quantity)), bound_(bound) {}
   void add(std::uint64_t seed, double value) {
+    if (by_seed_.empty() || by_seed_.back().first != seed) by_seed_.emplace_back(seed, value);
+    by_seed_.back().second = std::max(by_seed_.back().second, value);
     if (value > worst_) worst_ = value, worst_seed_ = seed;
     if (!(value <= bound_) && last_failed_ != seed) {
       failed_ += " " + std::to_string(seed);
@@ -783,10 +785,13 @@ class Worst {
       note = "failing seeds:" + failed_;
     else if (worst_ > 0.0)
       note = "largest at seed " + std::to_string(worst_seed_);
-    return row("folds", variant, name, quantity_, 0.0, worst_, worst_, bound_, note);
+    PhysicsRow result = row("folds", variant, name, quantity_, 0.0, worst_, worst_, bound_, note);
+    result.by_seed = by_seed_;
+    return result;
   }
 
  private:
+  std::vector<std::pair<std::uint64_t, double>> by_seed_;
   std::string quantity_, failed_;
   double bound_ = 0.0, worst_ = 0.0;
   std::uint64_t worst_seed_ = 0, last_failed_ = std::numeric_limits<std::uint64_t>::max();
@@ -808,6 +813,7 @@ std::vector<PhysicsRow> random_folds(const SimulatorVariant& variant, const std:
       diverged.add(seed, 1.0);
       continue;
     }
+    diverged.add(seed, 0.0);
     if (!result.released) {  // a path that the horizon cuts short: let go where it ends
       simulator->release();
       result.settle = simulator->settle(task.settle);
@@ -828,9 +834,10 @@ std::vector<PhysicsRow> random_folds(const SimulatorVariant& variant, const std:
 
 /// The same fold, fabric and hands in two simulators: how far apart the settled shapes are. The note has what each
 /// cost.
-std::vector<PhysicsRow> paired_fold(const std::vector<SimulatorVariant>& variants, const std::string& name,
-                                    const Task& task, const RandomFold& fold) {
+PhysicsRow paired_fold(const std::vector<SimulatorVariant>& variants, const std::string& name, const Task& task,
+                       const PhysicsParams::Folds& p, std::uint64_t seed) {
   if (variants.size() < 2) throw Error("paired folds need a second simulator, `other`");
+  const RandomFold fold = random_fold(task, p, seed);
   std::array<Positions, 2> shapes;
   std::string note;
   for (std::size_t k = 0; k < 2; ++k) {
@@ -846,7 +853,9 @@ std::vector<PhysicsRow> paired_fold(const std::vector<SimulatorVariant>& variant
   }
   // Two models of cloth: no bound follows from either. A fold gone another way would be off by decimetres.
   const double apart = mean_distance_mm(shapes[0], shapes[1]);
-  return {row("paired folds", variants[1], name, "mean vertex distance mm", 0.0, apart, apart, 100.0, note)};
+  PhysicsRow result = row("paired folds", variants[1], name, "mean vertex distance mm", 0.0, apart, apart, 100.0, note);
+  result.by_seed = {{seed, apart}};
+  return result;
 }
 
 void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const std::shared_ptr<const Task>& task) {
@@ -864,7 +873,7 @@ void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const st
   for (std::uint64_t seed = first; seed < first + static_cast<std::uint64_t>(p.folds.paired); ++seed) {
     const std::string name = "seed " + std::to_string(seed);
     cases.push_back({"paired folds", name, [=](const std::vector<SimulatorVariant>& variants) {
-                       return paired_fold(variants, name, *task, random_fold(*task, p.folds, seed));
+                       return std::vector<PhysicsRow>{paired_fold(variants, name, *task, p.folds, seed)};
                      }});
   }
   // The settled shape of the default fold.

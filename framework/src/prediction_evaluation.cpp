@@ -7,11 +7,16 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <numeric>
+
+#include "weft/report.hpp"
 
 namespace weft {
 namespace {
 
 using nlohmann::ordered_json;
+
+constexpr std::size_t kShownExamples = 50;  // with their shapes, on the page
 
 /// Collects cases of one row of the table.
 struct Tally {
@@ -215,8 +220,16 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
         for (std::size_t j = 0; j < steps; ++j) {
           const Positions truth = dataset.shape(i, starts[b] + static_cast<Index>(j) + 1);
           by_step[j].add(prediction->shapes()[b][j], truth, static_cast<Index>(j) + 1);
-          if (j + 1 == steps && dataset.examples[i].released)
-            settled.add(prediction->shapes()[b][j], truth, static_cast<Index>(steps));
+          if (j + 1 != steps || !dataset.examples[i].released) continue;
+          const ShapeDistribution& shape = prediction->shapes()[b][j];
+          settled.add(shape, truth, static_cast<Index>(steps));
+          if (way.settled != &result.from_start) continue;
+          result.examples.push_back({dataset.examples[i].index, static_cast<Index>(steps),
+                                     mean_distance_mm(shape.mean, truth), 1e3 * shape.sigma.rowwise().norm().mean()});
+          if (result.settled.size() < kShownExamples) {
+            result.settled.push_back(truth);
+            result.predicted.push_back(shape.mean);
+          }
         }
       }
     }
@@ -264,9 +277,24 @@ std::string prediction_evaluation_json(const PredictionEvaluation& r) {
   json["baselines"] = ordered_json::object();
   for (const auto& [name, f] : r.baselines)
     json["baselines"][name] = {{"n", f.n}, {"mean_mm", f.mean_mm}, {"median_mm", f.median_mm}};
+  json["cases"] = ordered_json::array();
+  for (const auto& e : r.examples)
+    json["cases"].push_back(
+        {{"example", e.index}, {"segments", e.segments}, {"error_mm", e.error_mm}, {"sigma_mm", e.sigma_mm}});
   json["failed"] = r.failed;
   json["predict_seconds"] = r.seconds;
   return json.dump(2) + "\n";
+}
+
+void write_prediction_shapes(const PredictionEvaluation& r, const Garment& garment, const std::filesystem::path& path) {
+  if (r.settled.empty()) return;
+  std::vector<std::int64_t> goal_of(r.settled.size());
+  std::iota(goal_of.begin(), goal_of.end(), 0);
+  auto file = create_cases_file(path, garment);
+  write_shapes(file, "/prediction/goals", r.settled);
+  write_shapes(file, "/prediction/finals", r.predicted);
+  file.write("/prediction/goal_of", {static_cast<Index>(goal_of.size())}, goal_of.data());
+  file.commit();
 }
 
 std::string prediction_evaluation_csv(const PredictionEvaluation& r) {

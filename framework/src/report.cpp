@@ -23,6 +23,7 @@ using nlohmann::ordered_json;
 constexpr const char* kPlaceholder = "<!--weft-data-->";
 // Finest step of quantised positions, m. A step of 0.05 mm is far below what a page can show, and compresses well.
 constexpr double kStep = 5e-5;
+constexpr double kCoarseStep = 2e-4;  // where nothing is measured on the shape, and there are hundreds
 
 std::string base64(const std::string& bytes) {
   static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
@@ -44,11 +45,11 @@ class PageData {
  public:
   ordered_json json = {{"schema", "weft report 1"}};
 
-  /// [rows.size(), V, 3], as int16 multiples of `step`.
-  ordered_json shapes(const std::vector<Positions>& rows) {
+  /// [rows.size(), V, 3], as int16 multiples of `finest` or, where coordinates are large, of more.
+  ordered_json shapes(const std::vector<Positions>& rows, double finest = kStep) {
     double largest = 0.0;
     for (const auto& row : rows) largest = std::max(largest, row.size() > 0 ? row.cwiseAbs().maxCoeff() : 0.0);
-    const double step = std::max(kStep, largest / 32767.0);
+    const double step = std::max(finest, largest / 32767.0);
     std::vector<std::uint16_t> values, before;
     for (const auto& row : rows) {
       std::vector<std::uint16_t> now(static_cast<std::size_t>(row.size()));
@@ -168,7 +169,7 @@ ordered_json garment_json(PageData& page, const std::string& name, const Faces& 
   return {{"name", name}, {"vertices", vertices}, {"faces", page.faces(faces)}};
 }
 
-constexpr const char* kExperiments[] = {"planning", "estimation", "prediction", "ablation"};
+constexpr const char* kExperiments[] = {"planning", "estimation", "prediction", "physics", "ablation"};
 
 /// cases.h5: what the cases of an experiment came to, for those that the page shows.
 void add_cases(PageData& page, const fs::path& path) {
@@ -201,6 +202,20 @@ void add_cases(PageData& page, const fs::path& path) {
   for (const std::string name : kExperiments) {
     const std::string group = "/" + name;
     if (!page.json.contains(name) || !file.has(group)) continue;
+    if (file.has(group + "/shapes")) {
+      const auto shapes = read_shapes(group + "/shapes");
+      const auto first = file.read_int(group + "/first");
+      if (first.empty() || first.front() != 0 || first.back() != static_cast<std::int64_t>(shapes.size()) ||
+          !std::is_sorted(first.begin(), first.end()))
+        fail(group + "/first", "must rise from 0 to the number of shapes");
+      ordered_json sequences = ordered_json::array();
+      for (std::size_t i = 0; i + 1 < first.size(); ++i) {
+        const std::vector<Positions> one(shapes.begin() + first[i], shapes.begin() + first[i + 1]);
+        sequences.push_back(one.empty() ? ordered_json() : page.shapes(one, kCoarseStep));
+      }
+      page.json["shapes"][name] = {{"sequences", sequences}};
+      continue;
+    }
     const auto goals = read_shapes(group + "/goals");
     const auto finals = read_shapes(group + "/finals");
     const auto goal_of = file.read_int(group + "/goal_of");
@@ -219,6 +234,24 @@ void add_cases(PageData& page, const fs::path& path) {
 }
 
 }  // namespace
+
+Hdf5File create_cases_file(const fs::path& path, const Garment& garment) {
+  auto file = Hdf5File::create(path);
+  file.write("/garment/name", garment.name);
+  file.write("/garment/rest", garment.rest);
+  const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = garment.faces.cast<std::int64_t>();
+  file.write("/garment/faces", faces);
+  return file;
+}
+
+void write_shapes(Hdf5File& file, const std::string& path, const std::vector<Positions>& shapes) {
+  const Index vertices = shapes.empty() ? 0 : shapes.front().rows();
+  std::vector<float> values;
+  for (const auto& shape : shapes) {
+    for (Index i = 0; i < shape.size(); ++i) values.push_back(static_cast<float>(shape.data()[i]));
+  }
+  file.write(path, {static_cast<Index>(shapes.size()), vertices, 3}, values.data());
+}
 
 ReportTemplate find_report_template() {
   if (const char* given = std::getenv("WEFT_REPORT_TEMPLATE")) {

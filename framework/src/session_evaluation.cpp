@@ -8,6 +8,7 @@
 
 #include "weft/estimator.hpp"
 #include "weft/hdf5_file.hpp"
+#include "weft/report.hpp"
 
 namespace weft {
 namespace {
@@ -70,9 +71,11 @@ ConfigNode matrix_node(const Controls& controls) {
 
 std::uint64_t seed_of(const ConfigNode& session) { return static_cast<std::uint64_t>(session.at("seed").as_int()); }
 
-std::string shape_name(std::uint64_t seed, double width) {
-  return "seed" + std::to_string(seed) + "-w" + text_of(width) + ".h5";
+/// Where a cell keeps its shapes. @param level of the cell's arm.
+fs::path shape_file(const fs::path& folder, std::uint64_t seed, const std::string& level) {
+  return folder / "shapes" / ("seed" + std::to_string(seed) + "-" + level + ".h5");
 }
+std::string width_level(double width) { return "w" + text_of(width); }
 
 /// What the cells' config says about where the cases come from, so that rows of other cases are refused.
 std::string describe(const EvaluationCases& cases, const std::string& what) {
@@ -307,7 +310,7 @@ AblationRunner planning_runner(const EvaluationCases& cases, const fs::path& fol
     read_params(config, params);
     const SessionResult result = run_session(params, config, host);
     fs::create_directories(folder / "shapes");
-    auto file = Hdf5File::create(folder / "shapes" / shape_name(seed, params.drawn_width));
+    auto file = Hdf5File::create(shape_file(folder, seed, width_level(params.drawn_width)));
     file.write("/goal", result.goal);
     file.write("/final", result.final_shape);
     file.commit();
@@ -317,13 +320,9 @@ AblationRunner planning_runner(const EvaluationCases& cases, const fs::path& fol
 
 void write_planning_shapes(const EvaluationColumn& column, const Garment& garment, const fs::path& folder,
                            const fs::path& path) {
-  std::vector<float> goals, finals;
   std::vector<std::int64_t> goal_of;
-  const auto append = [](std::vector<float>& list, const Positions& shape) {
-    for (Index i = 0; i < shape.size(); ++i) list.push_back(static_cast<float>(shape.data()[i]));
-  };
   std::vector<bool> has_goal(column.plan.seeds.size());
-  std::vector<Positions> goal_shapes(column.plan.seeds.size(), garment.positions);
+  std::vector<Positions> goals(column.plan.seeds.size(), garment.positions), finals;
   for (std::size_t a = 0; a < column.plan.arms.size(); ++a) {
     const double width = column.plan.arms[a].config.at("drawn_width").as_double();
     for (const auto& row : column.rows) {
@@ -332,24 +331,18 @@ void write_planning_shapes(const EvaluationColumn& column, const Garment& garmen
           std::find(column.plan.seeds.begin(), column.plan.seeds.end(), row.seed) - column.plan.seeds.begin());
       goal_of.push_back(static_cast<std::int64_t>(goal));
       if (!row.failure.empty()) {
-        append(finals, garment.positions);  // the row has no error, and the page shows none
+        finals.push_back(garment.positions);  // the row has no error, and the page shows none
         continue;
       }
-      const auto file = Hdf5File::open(folder / "shapes" / shape_name(row.seed, width));
-      append(finals, file.read_positions("/final"));
-      if (!has_goal[goal]) goal_shapes[goal] = file.read_positions("/goal");
+      const auto file = Hdf5File::open(shape_file(folder, row.seed, width_level(width)));
+      finals.push_back(file.read_positions("/final"));
+      if (!has_goal[goal]) goals[goal] = file.read_positions("/goal");
       has_goal[goal] = true;
     }
   }
-  for (const auto& shape : goal_shapes) append(goals, shape);
-  const Index vertices = garment.vertex_count();
-  auto file = Hdf5File::create(path);
-  file.write("/garment/name", garment.name);
-  file.write("/garment/rest", garment.rest);
-  const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = garment.faces.cast<std::int64_t>();
-  file.write("/garment/faces", faces);
-  file.write("/planning/goals", {static_cast<Index>(goal_shapes.size()), vertices, 3}, goals.data());
-  file.write("/planning/finals", {static_cast<Index>(goal_of.size()), vertices, 3}, finals.data());
+  auto file = create_cases_file(path, garment);
+  write_shapes(file, "/planning/goals", goals);
+  write_shapes(file, "/planning/finals", finals);
   file.write("/planning/goal_of", {static_cast<Index>(goal_of.size())}, goal_of.data());
   file.commit();
 }
@@ -381,8 +374,8 @@ AblationPlan estimation_evaluation(const ConfigNode& session, const std::vector<
   return plan;
 }
 
-AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams& data) {
-  return [cases, data](const ConfigNode& config, Host& host) {
+AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams& data, const fs::path& folder) {
+  return [cases, data, folder](const ConfigNode& config, Host& host) {
     SessionParams params;
     read_params(config, params);
     const std::uint64_t seed = seed_of(config);
@@ -408,6 +401,10 @@ AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams&
       for (Index i = 0; i < positions.size(); ++i) positions.data()[i] = static_cast<double>(from[i]);
       return positions;
     };
+    fs::create_directories(folder / "shapes");
+    auto file = Hdf5File::create(shape_file(folder, seed, params.estimation.method));
+    file.write("/shapes", {example->segments() + 1, vertices, 3}, example->shapes.data());
+    file.commit();
     AblationOutcome outcome;
     for (std::size_t p = 0; p < 4; ++p)
       outcome.metrics.emplace_back(std::string("q_") + kPropertyNames[p], example->q(static_cast<Index>(p)));
@@ -449,6 +446,28 @@ AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams&
     outcome.paired_by = std::to_string(seed);
     return outcome;
   };
+}
+
+void write_estimation_shapes(const EvaluationColumn& column, const Garment& garment, const fs::path& folder,
+                             const fs::path& path) {
+  const Index vertices = garment.vertex_count();
+  std::vector<float> shapes;
+  std::vector<std::int64_t> first{0};
+  for (const auto& row : column.rows) {
+    if (row.arm != 0) continue;
+    const fs::path kept = shape_file(folder, row.seed, column.plan.arms[0].levels.front());
+    // A failed case has none, and rows of before shapes were kept have none either.
+    if (row.failure.empty() && fs::exists(kept)) {
+      const auto values = Hdf5File::open(kept).read_float("/shapes");
+      shapes.insert(shapes.end(), values.begin(), values.end());
+    }
+    first.push_back(static_cast<std::int64_t>(shapes.size()) / (vertices * 3));
+  }
+  if (shapes.empty()) return;  // nothing to look at
+  auto file = create_cases_file(path, garment);
+  file.write("/estimation/shapes", {static_cast<Index>(first.back()), vertices, 3}, shapes.data());
+  file.write("/estimation/first", {static_cast<Index>(first.size())}, first.data());
+  file.commit();
 }
 
 std::string planning_evaluation_json(const std::vector<EvaluationColumn>& columns) {

@@ -3,8 +3,11 @@ import { chart, Plot } from './charts';
 import type { Arm, PageData, Statistics } from './data';
 import { fixed, h, label, section } from './dom';
 import { provenanceDetails, title } from './frame';
+import { sortableTable, type Column } from './table';
 
+// Levels beyond the sixth take the colours again, with another shape.
 const kColours = 6;
+const kShapes = [{ symbol: 'circle', style: 'border-radius:50%' }, { symbol: 'square', style: '' }, { symbol: 'diamond', style: 'transform:rotate(45deg) scale(0.8)' }] as const;
 const kShownFirst = ['error_mm', 'first_plan_loss', 'evaluations', 'plan_seconds'];
 
 const kUnits: [RegExp, string][] = [[/_mm$/, 'mm'], [/_seconds$/, 's']];
@@ -16,9 +19,17 @@ export function ablationPage(page: PageData): HTMLElement {
   const { arms, factors, seeds, complete, description } = page.ablation!;
   const metrics = [...new Set(arms.flatMap((arm) => Object.keys(arm.metrics)))];
   const levels = new Map(factors.map((factor) => [factor, [...new Set(arms.map((arm) => arm.levels[factor]))]]));
-  const colourOf = (factor: string, level: string) => `var(--c${levels.get(factor)!.indexOf(level) % kColours})`;
+  const isBaseline = (arm: Arm) => arms.some((other) => other.baseline === arm.name);
+  const look = (factor: string, level: string) => {
+    const i = levels.get(factor)!.indexOf(level);
+    return { colour: `var(--c${i % kColours})`, ...kShapes[Math.floor(i / kColours) % kShapes.length] };
+  };
+  const chip = (factor: string, level: string) => {
+    const { colour, style } = look(factor, level);
+    return h('span', { class: 'chip' }, h('span', { class: 'swatch', style: `background:${colour};${style}` }), level);
+  };
   let colourBy = factors.find((factor) => levels.get(factor)!.length > 1) ?? factors[0];
-  let metric = metrics.includes('error_mm') ? 'error_mm' : metrics[0];
+  let metric = metrics.includes('error_mm') ? 'error_mm' : metrics[0];  // none: no cell finished
 
   const digits = new Map(metrics.map((name) => {
     const largest = Math.max(...arms.map((arm) => Math.abs(arm.metrics[name]?.mean ?? 0)));
@@ -31,43 +42,34 @@ export function ablationPage(page: PageData): HTMLElement {
     return `${sign && value.mean > 0 ? '+' : ''}${fixed(value.mean, places)}${interval}`;
   };
 
-  interface Column { id: string; head: string; value: (arm: Arm) => number | string; cell: (arm: Arm) => Node | string; numeric: boolean; metric?: string; extra?: boolean }
-  const columns: Column[] = [
-    { id: 'name', head: 'Arm', value: (arm) => arm.name, cell: (arm) => (arm.baseline === null ? `${arm.name} (baseline)` : arm.name), numeric: false },
-    ...factors.map((factor): Column => ({
-      id: `factor ${factor}`, head: factor, numeric: false, value: (arm) => arm.levels[factor],
-      cell: (arm) => h('span', { class: 'chip' }, h('span', { class: 'swatch', style: `background:${colourOf(factor, arm.levels[factor])}` }), arm.levels[factor]),
+  type MetricColumn = Column<Arm> & { metric?: string; extra?: boolean };
+  const columns: MetricColumn[] = [
+    { id: 'name', head: 'Arm', value: (arm) => arm.name, cell: (arm) => (isBaseline(arm) ? `${arm.name} (baseline)` : arm.name) },
+    ...factors.map((factor): MetricColumn => ({
+      id: `factor ${factor}`, head: factor, value: (arm) => arm.levels[factor], cell: (arm) => chip(factor, arm.levels[factor]),
     })),
-    { id: 'done', head: 'n', value: (arm) => arm.done, cell: (arm) => String(arm.done), numeric: true },
+    { id: 'done', head: 'n', value: (arm) => arm.done, numeric: true },
     { id: 'failed', head: 'Failed', value: (arm) => arm.failed.length, cell: (arm) => h('span', { title: arm.failed.map((one) => `seed ${one.seed}: ${one.failure}`).join('\n') }, String(arm.failed.length)), numeric: true },
     ...metrics.flatMap((name) => ([
-      { id: name, metric: name, head: heading(name), numeric: true, value: (arm) => arm.metrics[name]?.mean ?? Infinity, cell: (arm) => text(arm.metrics[name], name) },
-      { id: `median ${name}`, metric: name, extra: true, head: 'median', numeric: true, value: (arm) => arm.metrics[name]?.median ?? Infinity, cell: (arm) => fixed(arm.metrics[name]?.median, digits.get(name)) },
-      { id: `difference ${name}`, metric: name, head: 'against baseline', numeric: true, value: (arm) => arm.metrics[name]?.difference?.mean ?? 0, cell: (arm) => (arm.baseline === null ? '' : text(arm.metrics[name]?.difference, name, true)) },
-    ] as Column[]).filter((column) => !column.id.startsWith('difference') || arms.some((arm) => arm.metrics[name]?.difference))),
+      { id: name, metric: name, head: heading(name), numeric: true, value: (arm) => arm.metrics[name]?.mean ?? NaN, cell: (arm) => text(arm.metrics[name], name) },
+      { id: `median ${name}`, metric: name, extra: true, head: 'median', numeric: true, value: (arm) => arm.metrics[name]?.median ?? NaN, cell: (arm) => fixed(arm.metrics[name]?.median, digits.get(name)) },
+      { id: `difference ${name}`, metric: name, head: 'against baseline', numeric: true, value: (arm) => arm.metrics[name]?.difference?.mean ?? NaN, cell: (arm) => (isBaseline(arm) ? '' : text(arm.metrics[name]?.difference, name, true)) },
+    ] as MetricColumn[]).filter((column) => !column.id.startsWith('difference') || arms.some((arm) => arm.metrics[name]?.difference))),
   ];
-  let sortBy = metric ?? 'name';
-  let ascending = true;
-  const sorted = () => {
-    const column = columns.find((one) => one.id === sortBy)!;
-    return [...arms].sort((a, b) => {
-      const x = column.value(a), y = column.value(b);
-      const order = typeof x === 'number' && typeof y === 'number' ? x - y : String(x).localeCompare(String(y), 'en', { numeric: true });
-      return ascending ? order : -order;
-    });
-  };
-
   const allBox = h('input', { type: 'checkbox', id: 'all-metrics' });
-  allBox.addEventListener('change', () => refresh());
-  const head = h('tr', {});
-  const body = h('tbody', {});
-  const table = h('table', { id: 'arms' }, h('caption', {}, 'Mean and its 95 % interval over the seeds; differences are paired, seed by seed, against the arm that is like it but for the baseline’s level. Click a heading to sort.'), h('thead', {}, head), body);
+  allBox.addEventListener('change', () => table.refresh());
+  const shownFirst = metrics.filter((name) => kShownFirst.includes(name));
+  const isShown = ({ metric: name, extra }: MetricColumn) => !name || allBox.checked || (!extra && (shownFirst.length === 0 || shownFirst.includes(name)));
+  const table = sortableTable<Arm>({
+    id: 'arms', rows: () => arms, columns: () => columns.filter(isShown), sortBy: metric ?? 'name', name: (arm) => arm.name,
+    rowClass: (arm) => (isBaseline(arm) ? 'baseline' : ''), onSort: () => refresh(),
+  });
 
   const intervals = (name: string, of: (arm: Arm) => Statistics | undefined, zero: boolean) => chart(name, () => {
-    const rows = sorted().flatMap((arm) => {
+    const rows = table.sorted().flatMap((arm) => {
       const value = of(arm);
       if (!value || value.mean === null) return [];
-      return [{ name: arm.name, mean: value.mean, low: value.mean_95[0] ?? value.mean, high: value.mean_95[1] ?? value.mean, colour: colourBy ? colourOf(colourBy, arm.levels[colourBy]) : 'var(--c0)', title: `${arm.name}: ${text(value, metric)}` }];
+      return [{ name: arm.name, mean: value.mean, low: value.mean_95[0] ?? value.mean, high: value.mean_95[1] ?? value.mean, ...(colourBy ? look(colourBy, arm.levels[colourBy]) : { colour: 'var(--c0)', symbol: 'circle' }), title: `${arm.name}: ${text(value, metric)}` }];
     });
     return {
       marginLeft: Math.min(190, 20 + 6.5 * Math.max(0, ...arms.map((arm) => arm.name.length))), height: 60 + 26 * Math.max(1, rows.length),
@@ -76,7 +78,7 @@ export function ablationPage(page: PageData): HTMLElement {
       marks: [
         ...(zero ? [Plot.ruleX([0], { stroke: 'var(--ink)' })] : []),
         Plot.ruleY(rows, { y: 'name', x1: 'low', x2: 'high', stroke: (row) => row.colour, strokeWidth: 3 }),
-        Plot.dot(rows, { y: 'name', x: 'mean', r: 5, fill: (row) => row.colour, title: 'title', tip: true }),
+        ...rows.map((row) => Plot.dot([row], { y: 'name', x: 'mean', r: 5, fill: row.colour, symbol: row.symbol, title: 'title', tip: true })),
       ],
     };
   });
@@ -84,26 +86,16 @@ export function ablationPage(page: PageData): HTMLElement {
   const differences = intervals('Paired difference to the baseline', (arm) => arm.metrics[metric]?.difference, true);
   const meansTitle = h('span', {}), differencesTitle = h('span', {});
 
+  const differencesPart = h('section', {}, h('h2', {}, differencesTitle), differences.element);
+
   function refresh() {
-    const visible = columns.filter((column) => !column.metric || allBox.checked || (!column.extra && (!metrics.some((name) => kShownFirst.includes(name)) || kShownFirst.includes(column.metric))));
-    head.replaceChildren(...visible.map((column) => h('th', {
-      scope: 'col', class: column.numeric ? '' : 'text', 'aria-sort': column.id === sortBy ? (ascending ? 'ascending' : 'descending') : null,
-    }, h('button', {
-      'data-sort': column.id,
-      onclick: () => {
-        ascending = sortBy === column.id ? !ascending : true;
-        sortBy = column.id;
-        refresh();
-        head.querySelector<HTMLElement>(`[data-sort="${CSS.escape(column.id)}"]`)?.focus();
-      },
-    }, column.head))));
-    body.replaceChildren(...sorted().map((arm) => h('tr', { class: arm.baseline === null ? 'baseline' : '' },
-      ...visible.map((column) => h('td', { class: column.numeric ? '' : 'text', 'data-key': `${arm.name} ${column.id}` }, column.cell(arm))))));
+    if (!metric) return;
     meansTitle.textContent = heading(metric);
     differencesTitle.textContent = `${heading(metric)}: paired difference to the baseline`;
+    differencesPart.hidden = !arms.some((arm) => typeof arm.metrics[metric]?.difference?.mean === 'number');
     means.redraw();
     differences.redraw();
-    legend.replaceChildren(...(colourBy ? levels.get(colourBy)! : []).map((level) => h('li', {}, h('span', { class: 'swatch', style: `background:${colourOf(colourBy, level)}` }), level)));
+    legend.replaceChildren(...(colourBy ? levels.get(colourBy)! : []).map((level) => h('li', {}, chip(colourBy, level))));
   }
   const choice = (id: string, name: string, entries: string[], chosen: string, show: (entry: string) => string, choose: (entry: string) => void) => {
     const select = h('select', { id }, ...entries.map((entry) => h('option', { value: entry, selected: entry === chosen }, show(entry))));
@@ -116,14 +108,16 @@ export function ablationPage(page: PageData): HTMLElement {
   const legend = h('ul', { class: 'key' });
   refresh();
   const failures = arms.flatMap((arm) => arm.failed.map((one) => `${arm.name}, seed ${one.seed}: ${one.failure}`));
+  const cells = arms.length * seeds.length;
   return h('div', {},
     title(page, description || 'Ablation', [`${arms.length} arms`, `${seeds.length} seeds`]),
     complete ? null : h('p', { class: 'warning', role: 'note' }, 'Warning: not all cells have run; the same command finishes the rest.'),
-    h('div', { class: 'figures' }, h('div', { class: 'wide' }, section('arms-section', 'Arms', null, h('label', { class: 'check' }, allBox, 'all that was measured'), h('div', { class: 'scroll', tabindex: 0 }, table)))),
-    h('div', { class: 'cases', style: 'margin-top:1.5rem' },
+    failures.length ? h('p', { class: 'warning', role: 'note' }, `Warning: ${failures.length} of ${cells} cells failed, and are left out of means and differences; the reasons are at the end of the page.`) : null,
+    h('div', { class: 'figures' }, h('div', { class: 'wide' }, section('arms-section', 'Arms', 'Mean and its 95 % interval over the seeds; differences are paired, seed by seed, against the arm that is like it but for the baseline’s level. Click a heading to sort.',
+      h('label', { class: 'check' }, allBox, 'all that was measured'), table.element))),
+    metric ? h('div', { class: 'cases', style: 'margin-top:1.5rem' },
       choice('metric', 'Figures of', metrics, metric, heading, (entry) => (metric = entry)),
-      factors.length ? choice('factor', 'Colours stand for', factors, colourBy, (entry) => entry, (entry) => (colourBy = entry)) : null, legend),
-    h('div', { class: 'figures', style: 'margin-top:0.5rem' },
-      h('section', {}, h('h2', {}, meansTitle), means.element), h('section', {}, h('h2', {}, differencesTitle), differences.element)),
-    h('div', { class: 'details' }, failures.length ? h('details', {}, h('summary', {}, `Failures (${failures.length})`), h('pre', { tabindex: 0 }, failures.join('\n'))) : null, ...provenanceDetails(page)));
+      factors.length ? choice('factor', 'Colours stand for', factors, colourBy, (entry) => entry, (entry) => (colourBy = entry)) : null, legend) : null,
+    metric ? h('div', { class: 'figures', style: 'margin-top:0.5rem' }, h('section', {}, h('h2', {}, meansTitle), means.element), differencesPart) : null,
+    h('div', { class: 'details' }, failures.length ? h('details', { id: 'failures', open: !metric }, h('summary', {}, `Failures (${failures.length})`), h('pre', { tabindex: 0 }, failures.join('\n'))) : null, ...provenanceDetails(page)));
 }

@@ -1,5 +1,6 @@
 // One colour map for everything that is coloured by a number: viridis, which reads the same with any colour vision.
 import { scale } from '@observablehq/plot';
+import { h } from './dom';
 
 const viridis = scale({ color: { type: 'linear', scheme: 'viridis', domain: [0, 1] } })!;
 const rgb = (t: number) => {
@@ -15,10 +16,15 @@ export function colourMap(): Uint8Array {
   return bytes;
 }
 
-export function gradient(): string {
+function gradient(): string {
   const stops = Array.from({ length: 9 }, (_, i) => `rgb(${rgb(i / 8).slice(0, 3).join(' ')})`);
   return `linear-gradient(to right, ${stops.join(', ')})`;
 }
+
+/** What the colours mean, for an element of class `legend`. */
+export const colourLegend = (title: string, range: number): (Node | string)[] => [
+  title, h('div', { class: 'bar', style: `background:${gradient()}` }),
+  h('div', { class: 'ends' }, h('span', {}, '0'), h('span', {}, String(range / 2)), h('span', {}, `≥ ${range}`))];
 
 /** A round number at or above the value. */
 export function niceCeiling(value: number): number {

@@ -72,7 +72,7 @@ export interface PlanningData {
 export interface PropertyResult {
   abs_error: Spread; width: Spread; failure_rate: number; coverage: Record<string, number>; interval_score: number;
 }
-export interface EstimationCase { true_material: number[]; knowledge: Knowledge[] }
+export interface EstimationCase { seed?: number; true_material: number[]; knowledge: Knowledge[] }
 export interface EstimationFigures { n: number; properties: Record<string, PropertyResult> }
 export interface EstimationData {
   goals?: string; method?: string; n?: number; complete?: boolean; properties: Record<string, PropertyResult>;
@@ -89,6 +89,8 @@ export interface PredictionData {
   by_step_from_random?: StepResult[];
   by_step_no_knowledge?: StepResult[];
   baselines?: Record<string, { n: number; mean_mm: number; median_mm: number }>;
+  /** Released examples, predicted from their start; the first of them have shapes. */
+  cases?: { example: number; segments: number; error_mm: number; sigma_mm: number }[];
 }
 export interface Statistics {
   n: number; mean: number | null; median: number | null; sd: number | null;
@@ -102,9 +104,23 @@ export interface Arm {
   baseline: string | null;
   metrics: Record<string, Statistics & { difference?: Statistics }>;
 }
+export interface PhysicsRow {
+  test: string; case: string; variant: string; quantity: string; reference: number; measured: number | null;
+  /** null: the case threw. */
+  error: number | null;
+  bound: number; passed: boolean; note: string;
+  /** Of random folds: seed, value. */
+  by_seed?: [number, number][];
+}
+export interface PhysicsData { comparisons: number; failed: number; rows: PhysicsRow[] }
 export interface AblationData { description: string; factors: string[]; seeds: number[]; complete: boolean; arms: Arm[] }
 
-export interface CaseShapes { goals: ArrayRef[]; offsets: ArrayRef[]; goal_of: number[] }
+export interface CaseShapes {
+  /** Final shapes as what they are off from their goals ... */
+  goals?: ArrayRef[]; offsets?: ArrayRef[]; goal_of?: number[];
+  /** ... or shapes after 0, 1, 2, ... segments; null where none were recorded. */
+  sequences?: (ArrayRef | null)[];
+}
 export interface PageData {
   schema: string;
   kind: 'session' | 'evaluation' | 'ablation';
@@ -118,6 +134,7 @@ export interface PageData {
   planning?: PlanningData;
   estimation?: EstimationData;
   prediction?: PredictionData;
+  physics?: PhysicsData;
   ablation?: AblationData;
   shapes?: Record<string, CaseShapes>;
 }

@@ -1,5 +1,5 @@
 // Elements, and the theme.
-type Child = Node | string | null | undefined | false;
+export type Child = Node | string | null | undefined | false;
 type Attributes = Record<string, string | number | boolean | null | undefined | ((event: any) => void)>;
 
 export function h<K extends keyof HTMLElementTagNameMap>(tag: K, attributes: Attributes = {}, ...children: Child[]): HTMLElementTagNameMap[K] {
@@ -15,6 +15,14 @@ export function h<K extends keyof HTMLElementTagNameMap>(tag: K, attributes: Att
 
 export const fixed = (value: number | null | undefined, digits = 1) =>
   value == null || !Number.isFinite(value) ? '–' : value.toFixed(digits).replace(/^-/, '−');
+
+/** Three digits, of numbers of any size. */
+export function significant(value: number | null | undefined): string {
+  if (value == null || !Number.isFinite(value)) return '–';
+  const size = Math.abs(value);
+  const text = size !== 0 && (size < 1e-3 || size >= 1e5) ? value.toExponential(1) : String(Number(value.toPrecision(3)));
+  return text.replaceAll('-', '−');
+}
 
 export function duration(seconds: number): string {
   if (seconds < 1) return `${Math.round(seconds * 1000)} ms`;

@@ -1,6 +1,6 @@
 // The page of one session.
 import { chart, key, materialChart, Plot, wholeTicks, type Chart } from './charts';
-import { gradient, niceCeiling } from './colours';
+import { colourLegend, niceCeiling } from './colours';
 import { decode, decodeFaces, distancesMm, quantile, Shapes, type PageData } from './data';
 import { duration, fixed, h, hashOptions, label, section } from './dom';
 import { provenanceDetails, tile, title } from './frame';
@@ -194,10 +194,7 @@ export function sessionPage(page: PageData): HTMLElement {
     viewer.setEdges(layers.edges.input.checked);
     viewer.showLines('planned', layers.planned.input.checked);
     legend.hidden = colouring === 'fabric';
-    if (colouring !== 'fabric') {
-      legend.replaceChildren(kColourings[colouring].legend, h('div', { class: 'bar', style: `background:${gradient()}` }),
-        h('div', { class: 'ends' }, h('span', {}, '0'), h('span', {}, String(range[colouring] / 2)), h('span', {}, `≥ ${range[colouring]}`)));
-    }
+    if (colouring !== 'fabric') legend.replaceChildren(...colourLegend(kColourings[colouring].legend, range[colouring]));
     predictionKey = '';
     showFrame(player.frame);
   }

@@ -135,6 +135,9 @@ export class Viewer {
   private readonly lines = new Map<string, { line: Line2; colour: string }[]>();
   private readonly hands: Mesh[] = [];
   private readonly extent: Vector3[] = [];
+  /** The view that holds while nobody turns it. */
+  private preset: 'reset' | 'side' | 'top' | null = 'reset';
+  private groundKey = '';
   private queued = false;
   private ratio = Math.min(window.devicePixelRatio || 1, 2);
   private slow = 0;
@@ -187,6 +190,7 @@ export class Viewer {
     this.controls.maxDistance = 8;
     this.controls.zoomSpeed = 1.2;
     this.controls.addEventListener('change', () => this.invalidate());
+    this.controls.addEventListener('start', () => (this.preset = null));
     // The wheel scrolls the page until the view is clicked or tabbed to.
     this.controls.enableZoom = false;
     canvas.addEventListener('focus', () => (this.controls.enableZoom = true));
@@ -202,7 +206,7 @@ export class Viewer {
     onTheme(() => this.paint());
   }
 
-  /** Fits grid and camera to everything that will be shown: shapes and paths, [n, 3] each. */
+  /** Fits the grid to everything that will be shown (shapes and paths, [n, 3] each), and the camera unless somebody turned it. */
   fit(all: Float32Array[]) {
     const low = new Vector3(Infinity, Infinity, Infinity), high = new Vector3(-Infinity, -Infinity, -Infinity), point = new Vector3();
     for (const positions of all) {
@@ -219,7 +223,7 @@ export class Viewer {
     if (!this.renderer) return;
     this.makeGround(low, high);
     this.paint();
-    this.view('reset');
+    if (this.preset) this.view(this.preset);
   }
 
   setCloth(positions: Float32Array) {
@@ -292,6 +296,7 @@ export class Viewer {
 
   view(which: 'reset' | 'side' | 'top') {
     if (!this.renderer) return;
+    this.preset = which;
     const direction = { reset: new Vector3(-0.35, -1.0, 0.72), side: new Vector3(0, -1, 0.06), top: new Vector3(0, -0.001, 1) }[which].normalize();
     const { camera, controls } = this;
     controls.target.set(0, 0, 0);
@@ -361,7 +366,7 @@ export class Viewer {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     for (const made of this.lines.values()) for (const { line } of made) line.material.resolution.set(width, height);
-    if (reframe && this.drawn < 3) this.view('reset');
+    if (reframe && this.preset) this.view(this.preset);
     this.invalidate();
   }
 
@@ -392,10 +397,14 @@ export class Viewer {
 
   /** Lines every 10 cm, stronger every 50 cm, with the distances from the corner written along two sides. */
   private makeGround(low: Vector3, high: Vector3) {
-    this.ground.clear();
     const cell = 0.1, pad = 0.02;
     const x0 = Math.floor((low.x - pad) / cell), x1 = Math.ceil((high.x + pad) / cell);
     const y0 = Math.floor((low.y - pad) / cell), y1 = Math.ceil((high.y + pad) / cell);
+    for (const [x, y] of [[x0, y0], [x1, y0], [x0, y1]]) this.extent.push(new Vector3(x * cell, y * cell - 0.04, 0));
+    const key = [x0, x1, y0, y1].join();
+    if (key === this.groundKey) return;
+    this.groundKey = key;
+    this.ground.clear();
     const thin: number[] = [], strong: number[] = [];
     const add = (step: number, origin: number, ...ends: number[]) => ((step - origin) % 5 === 0 ? strong : thin).push(...ends);
     for (let i = x0; i <= x1; ++i) add(i, x0, i * cell, y0 * cell, 0, i * cell, y1 * cell, 0);
@@ -413,7 +422,6 @@ export class Viewer {
       sprite.position.set(x, y, 0);
       this.ground.add(sprite);
     };
-    for (const [x, y] of [[x0, y0], [x1, y0], [x0, y1]]) this.extent.push(new Vector3(x * cell, y * cell - 0.04, 0));
     for (let i = x0; i <= x1; i += 2) write(`${(i - x0) * 10}${i + 2 > x1 ? ' cm' : ''}`, i * cell, y0 * cell - 0.05);
     for (let i = y0 + 2; i <= y1; i += 2) write(`${(i - y0) * 10}`, x0 * cell - 0.06, i * cell);
   }
@@ -448,6 +456,7 @@ export class Viewer {
     if (!action) return;
     event.preventDefault();
     event.stopPropagation();
+    if (!/^[r123]$/i.test(event.key)) this.preset = null;
     action();
     this.controls.update();
     this.invalidate();
@@ -463,8 +472,10 @@ export class Viewer {
   }
 }
 
-/** Asked first, because three.js reports a missing context on the console. */
-/** What draws: null where there is no WebGL. Software renderers cannot afford several samples per pixel. */
+/**
+ * What draws: null where there is no WebGL (asked here, because three.js would report it on the console). Software
+ * renderers cannot afford several samples per pixel.
+ */
 function webGl(): { software: boolean } | null {
   try {
     const context = document.createElement('canvas').getContext('webgl2');

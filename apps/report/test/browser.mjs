@@ -17,9 +17,7 @@ const json = (...parts) => JSON.parse(readFileSync(path.join(folder, ...parts), 
 const say = (text) => console.log(text);
 
 rmSync(folder, { recursive: true, force: true });
-run(makeResults, 'session', path.join(folder, 'session'), '20');
-run(makeResults, 'evaluation', path.join(folder, 'evaluation'));
-run(makeResults, 'ablation', path.join(folder, 'ablation'));
+for (const kind of ['session', 'evaluation', 'physics', 'ablation']) run(makeResults, kind, path.join(folder, kind));
 
 const profile = mkdtempSync(path.join(tmpdir(), 'weft-report-'));
 const context = await chromium.launchPersistentContext(profile, {
@@ -86,7 +84,7 @@ function count(png) {
   }
   return result;
 }
-const look = async (page) => count(await page.locator('.viewer canvas').first().screenshot());
+const look = async (page, within = '') => count(await page.locator(`${within} .viewer canvas`).first().screenshot());
 const nextFrames = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done)))));
 
 async function sessionPage() {
@@ -251,11 +249,11 @@ async function evaluationPage() {
   // Cases in 3D: by list, and by a click on a point of the figure.
   await nextFrames(page);
   assert.ok((await look(page)).coloured > 5000);
-  assert.match(await text(page, '#case-note'), new RegExp(`^Case 1, goal 1: ${planning.cases[0].error_mm.toFixed(1)} mm`));
-  await page.locator('#case-next').click();
-  assert.match(await text(page, '#case-note'), /^Case 2, goal 2/);
+  assert.match(await text(page, '#planning-note'), new RegExp(`^Case 1, goal 1: ${planning.cases[0].error_mm.toFixed(1)} mm`));
+  await page.locator('#planning-case-next').click();
+  assert.match(await text(page, '#planning-note'), /^Case 2, goal 2/);
   await page.locator('#planning-figure [aria-label="case 20"] circle, #planning-figure circle[aria-label="case 20"]').first().dispatchEvent('click', { bubbles: true });
-  assert.match(await text(page, '#case-note'), new RegExp(`^Case 21, goal 5: ${planning.cases[20].error_mm.toFixed(1)} mm`));
+  assert.match(await text(page, '#planning-note'), new RegExp(`^Case 21, goal 5: ${planning.cases[20].error_mm.toFixed(1)} mm`));
 
   // Table 1 and Fig. 4.
   for (const name of ['bend', 'friction', 'stretch', 'thickness']) {
@@ -264,12 +262,34 @@ async function evaluationPage() {
     assert.equal(await shown(page, `${name} w`), `${width.mean.toFixed(2)} (${width.sd.toFixed(2)}), median ${width.median.toFixed(2)}`);
   }
   assert.match(await text(page, '#table-1'), /0\.061 \(0\.053\), median 0\.044/);
-  assert.match(await text(page, '#table-1'), /n = 50 \(1 failed\), the paper n = 50/);
+  assert.match(await text(page, '#estimation-table'), /n = 50 \(1 failed\), the paper n = 50/);
   assert.equal(await page.locator('#estimation-columns tbody tr').count(), 4);
   await page.locator('#estimation-case').selectOption('7');
   assert.match(await text(page, '#fig-4'), new RegExp(`true ${estimation.cases[7].true_material[0].toFixed(2)}`));
   assert.equal(await page.locator('#fig-4 svg').count(), 4);
-  assert.equal(await page.locator('#prediction svg').count(), 2);
+
+  // A replayed manipulation in 3D: by a click on its point, over segments by key, and by a click in a figure.
+  await page.locator('#estimation-overview [aria-label="case 11"]').first().dispatchEvent('click', { bubbles: true });
+  assert.equal(await page.locator('#estimation-case').inputValue(), '11');
+  assert.equal(await text(page, '#estimation-where'), 'after segment 12 of 12');
+  await nextFrames(page);
+  const folded = await look(page, '#estimation');
+  assert.ok(folded.orange > 2000, `back of the cloth after the fold: ${JSON.stringify(folded)}`);
+  await page.locator('#estimation-segment').focus();
+  await page.keyboard.press('Home');
+  assert.equal(await text(page, '#estimation-where'), 'at the start');
+  await nextFrames(page);
+  const flat = await look(page, '#estimation');
+  assert.ok(flat.blue > 5000 && flat.orange < 200, `flat cloth: ${JSON.stringify(flat)}`);
+  await page.locator('#fig-4 svg').first().click();
+  assert.match(await text(page, '#estimation-where'), /^after segment [567] of 12$/);
+
+  // Predicted shapes in 3D: of the first 30 of 40.
+  assert.equal(await page.locator('#prediction-case option').count(), 30);
+  await page.locator('#prediction-cases [aria-label="case 17"]').first().dispatchEvent('click', { bubbles: true });
+  assert.match(await text(page, '#prediction-note'), new RegExp(`^Example 117, 12 segments ahead: predicted ${json('evaluation', 'prediction.json').cases[17].error_mm.toFixed(1)} mm off`));
+  await nextFrames(page);
+  assert.ok((await look(page, '#prediction')).coloured > 3000);
   await page.setViewportSize({ width: 390, height: 844 });
   await nextFrames(page);
   assert.ok((await page.evaluate(() => document.documentElement.scrollWidth)) <= 390, 'the page is wider than a phone');
@@ -291,6 +311,40 @@ async function realPrediction() {
   assert.equal(baselines, 3 + Object.keys(prediction.baselines).length);
   const dots = await page.locator('#prediction-steps svg [aria-label="dot"] circle').count();
   assert.equal(dots, prediction.by_step.length + prediction.by_step_from_random.length + prediction.by_step_no_knowledge.length);
+  assert.equal(prediction.cases.length, prediction.settled.from_start.n);
+  assert.match(await text(page, '#prediction-note'), new RegExp(`: predicted ${prediction.cases[0].error_mm.toFixed(1)} mm off`));
+  assert.ok((await look(page)).coloured > 3000);
+  assert.deepEqual(page.problems, []);
+  await page.close();
+}
+
+/** Comparisons with their bounds: made up for what goes wrong, and of the command itself. */
+async function physicsPages() {
+  const data = json('physics', 'physics.json');
+  let page = await open(path.join(folder, 'physics', 'report.html'));
+  assert.equal(await shown(page, 'outside'), String(data.failed));
+  assert.match(await text(page, '.warning'), new RegExp(`^Warning: ${data.failed} of ${data.comparisons} `));
+  const tests = () => page.locator('#physics-worst tbody td:first-child').allInnerTexts();
+  assert.deepEqual(await tests(), ['incline', 'catenary', 'folds', 'elastica', 'rest']);  // by error / bound
+  await page.locator('#physics-worst [data-sort="n"]').press('Enter');
+  assert.deepEqual(await tests(), ['catenary', 'rest', 'incline', 'folds', 'elastica']);
+  const elastica = data.rows.filter((row) => row.test === 'elastica'), worst = Math.max(...elastica.map((row) => row.error / row.bound));
+  assert.equal(await shown(page, 'elastica share'), `${(100 * worst).toFixed(1)} %`);
+  await page.locator('#physics-worst').getByRole('button', { name: 'elastica' }).click();
+  assert.equal(await page.locator('#physics-rows tbody tr').count(), elastica.length);
+  await page.locator('#physics-test').selectOption('');
+  await page.locator('#physics-outside').check();
+  assert.equal(await text(page, '#physics-count'), `${data.failed} of ${data.comparisons}`);
+  assert.match(await text(page, '#physics-rows'), /the simulation diverged at frame 12/);
+  assert.match(await text(page, '#physics-folds'), /outside: seed 17/);
+  assert.equal(await page.locator('#physics-folds [aria-label="dot"] circle').count(), 19);
+  assert.deepEqual(page.problems, []);
+  await page.close();
+
+  run(weft, 'evaluate', 'physics', `${sources}/configs/experiments/physics.yaml`, '--set', 'physics.tests=[free fall, rest]', '--quiet', '--out', path.join(folder, 'real-physics'));
+  const { rows } = json('real-physics', 'physics.json');
+  page = await open(path.join(folder, 'real-physics', 'report.html'));
+  assert.deepEqual((await page.locator('#physics-rows tbody td:nth-child(4)').allInnerTexts()).sort(), rows.map((row) => row.case).sort());
   assert.deepEqual(page.problems, []);
   await page.close();
 }
@@ -304,10 +358,10 @@ async function realEvaluations() {
   let page = await open(path.join(folder, 'real-planning', 'report.html'));
   await nextFrames(page);
   assert.equal(await shown(page, 'median_mm'), planning.by_width[0].median_mm.toFixed(1));
-  assert.match(await text(page, '#case-note'), new RegExp(`^Case 1, goal 1: ${planning.cases[0].error_mm.toFixed(1)} mm`));
+  assert.match(await text(page, '#planning-note'), new RegExp(`^Case 1, goal 1: ${planning.cases[0].error_mm.toFixed(1)} mm`));
   assert.ok((await look(page)).coloured > 3000);
-  await page.locator('#case-next').click();
-  assert.match(await text(page, '#case-note'), new RegExp(`^Case 2, goal 2: ${planning.cases[1].error_mm.toFixed(1)} mm`));
+  await page.locator('#planning-case-next').click();
+  assert.match(await text(page, '#planning-note'), new RegExp(`^Case 2, goal 2: ${planning.cases[1].error_mm.toFixed(1)} mm`));
   assert.deepEqual(page.problems, []);
   await page.close();
 
@@ -322,6 +376,10 @@ async function realEvaluations() {
   await page.locator('#estimation-case-next').click();
   const last = cases[1].knowledge.at(-1);
   assert.match(await text(page, '#fig-4'), new RegExp(`${last.centre[0].toFixed(2)} ± ${(last.width[0] / 2).toFixed(2)}, true ${cases[1].true_material[0].toFixed(2)}`));
+  const segments = cases[1].knowledge.length - 1;
+  assert.equal(await text(page, '#estimation-where'), `after segment ${segments} of ${segments}`);
+  await nextFrames(page);
+  assert.ok((await look(page, '#estimation')).coloured > 3000);
   assert.deepEqual(page.problems, []);
   await page.close();
 }
@@ -330,13 +388,18 @@ async function ablationPage() {
   const page = await open(path.join(folder, 'ablation', 'report.html'));
   const ablation = json('ablation', 'ablation.json');
   const names = () => page.locator('#arms tbody tr td:first-child').allInnerTexts();
-  const by = (metric) => [...ablation.arms].sort((a, b) => a.metrics[metric].mean - b.metrics[metric].mean).map((arm) => arm.name);
+  const ran = ablation.arms.filter((arm) => arm.done > 0), none = ablation.arms.filter((arm) => arm.done === 0).map((arm) => arm.name);
+  assert.equal(none.length, 1);
+  const by = (metric) => [...ran].sort((a, b) => a.metrics[metric].mean - b.metrics[metric].mean).map((arm) => arm.name);
   const plain = async () => (await names()).map((name) => name.replace(' (baseline)', ''));
-  assert.deepEqual(await plain(), by('error_mm'));
+  assert.deepEqual(await plain(), [...by('error_mm'), ...none]);
   await page.locator('[data-sort="plan_seconds"]').click();
-  assert.deepEqual(await plain(), by('plan_seconds'));
+  assert.deepEqual(await plain(), [...by('plan_seconds'), ...none]);
   await page.locator('[data-sort="plan_seconds"]').click();
-  assert.deepEqual(await plain(), by('plan_seconds').reverse());
+  assert.deepEqual(await plain(), [...by('plan_seconds').reverse(), ...none]);
+  assert.match(await text(page, '.warning'), /^Warning: 22 of 240 cells failed/);
+  await page.locator('#failures summary').click();
+  assert.equal((await text(page, '#failures pre')).split('\n').length, 22);
   const { mean, mean_95: interval } = ablation.arms[0].metrics.error_mm;
   assert.equal(await shown(page, `${ablation.arms[0].name} error_mm`), `${mean.toFixed(2)} [${interval[0].toFixed(2)}, ${interval[1].toFixed(2)}]`);
   assert.equal(await page.locator('[data-sort="simulate_seconds"]').count(), 0);
@@ -367,14 +430,14 @@ async function realAblation() {
 async function exports() {
   const session = path.join(folder, 'session');
   run(weft, 'export', session, '--to', 'gltf', '--to', 'csv', '--to', 'usd', '--to', 'obj', '--png', '0,last', '--size', '640x400', '--every', '24', '--quiet');
-  const bundle = await build({ entryPoints: ['test/gltf.ts'], bundle: true, write: false, format: 'iife', logLevel: 'warning' });
-  const file = path.join(folder, 'gltf.html');
+  const bundle = await build({ entryPoints: ['test/loaders.ts'], bundle: true, write: false, format: 'iife', logLevel: 'warning' });
+  const file = path.join(folder, 'loaders.html');
   writeFileSync(file, `<!doctype html><html data-ready><link rel="icon" href="data:,"><script>${bundle.outputFiles[0].text}</script>`);
   const page = await open(file);
   const rows = readFileSync(path.join(session, 'csv', 'vertices.csv'), 'utf8').trim().split('\n').slice(1).map((row) => row.split(',').map(Number));
   const vertex = 262;
   const wanted = rows.filter((row) => row[2] === vertex);
-  const found = await page.evaluate(([base64, v, times]) => window.look(base64, v, times),
+  const found = await page.evaluate(([base64, v, times]) => window.lookGltf(base64, v, times),
     [readFileSync(path.join(session, 'session.glb')).toString('base64'), vertex, wanted.map((row) => row[1])]);
   assert.equal(found.targets, wanted.length - 1);
   assert.equal(found.vertices * wanted.length, rows.length);
@@ -383,6 +446,19 @@ async function exports() {
     for (let axis = 0; axis < 3; ++axis) assert.ok(Math.abs(found.positions[i].local[axis] - row[3 + axis]) < 1e-4, `frame ${row[0]}: ${found.positions[i].local} against ${row}`);
     assert.ok(Math.abs(found.positions[i].world[1] - row[5]) < 1e-4, 'up is y');
   });
+  const usd = readFileSync(path.join(session, 'session.usda'), 'utf8');
+  assert.match(usd, /^#usda 1\.0\n/);
+  const meshes = await page.evaluate((scene) => window.lookUsd(scene), usd);
+  assert.deepEqual(meshes.map((mesh) => [mesh.name, mesh.corners]), [['tshirt', 3 * found.faces], ['goal', 3 * found.faces]]);
+  const start = rows.filter((row) => row[0] === 0);
+  assert.deepEqual(meshes[0].times, wanted.map((row) => row[0]));
+  wanted.forEach((row, i) => {
+    for (let axis = 0; axis < 3; ++axis) assert.ok(Math.abs(meshes[0].points[i][3 * vertex + axis] - row[3 + axis]) < 1e-6, `usd, frame ${row[0]}`);
+  });
+  for (const [axis, column] of [[0, 3], [1, 5]]) {
+    const values = start.map((row) => row[column]);
+    assert.ok(Math.abs(meshes[0].low[axis] - Math.min(...values)) < 1e-4 && Math.abs(meshes[0].high[axis] - Math.max(...values)) < 1e-4, `usd, axis ${axis}: ${JSON.stringify(meshes[0])}`);
+  }
   assert.deepEqual(page.problems, []);
   await page.close();
   const flat = count(readFileSync(path.join(session, 'frame-0000.png')));
@@ -392,14 +468,14 @@ async function exports() {
   const segments = readFileSync(path.join(session, 'csv', 'segments.csv'), 'utf8').trim().split('\n');
   assert.equal(segments.length, 21);
   assert.ok(Math.abs(Number(segments[20].split(',')[1]) - json('session', 'summary.json').error_mm) < 1e-3);
-  assert.match(readFileSync(path.join(session, 'session.usda'), 'utf8'), /^#usda 1\.0\n/);
-  say('exports: glTF opens in three.js, stills and tables are as they must be');
+  say('exports: glTF and USD open in three.js, stills and tables are as they must be');
 }
 
 try {
   await sessionPage();
   await realSession();
   await evaluationPage();
+  await physicsPages();
   await realPrediction();
   await realEvaluations();
   await ablationPage();

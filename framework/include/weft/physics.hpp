@@ -2,6 +2,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "weft/params.hpp"
@@ -30,6 +31,8 @@ struct PhysicsRow {
   double bound = 0.0;
   bool passed = false;  ///< error <= bound
   std::string note;
+  /// Of random folds: a seed each, and what it measured; `measured` is the worst of them.
+  std::vector<std::pair<std::uint64_t, double>> by_seed;
 };
 
 struct PhysicsParams {

@@ -18,12 +18,23 @@ struct PredictionFigures {
   double sigma_mm = 0.0;                  ///< mean sigma
 };
 
+/// A released example, predicted from its start with its material known.
+struct PredictedExample {
+  std::int64_t index = 0;  ///< in the dataset
+  Index segments = 0;      ///< predicted ahead
+  double error_mm = 0.0;   ///< mean vertex distance of the settled shape
+  double sigma_mm =
+      0.0;  ///< root of a vertex's three variances, its mean over the vertices: what error_mm should be like
+};
+
 struct PredictionEvaluation {
   PredictionFigures from_start, from_random, no_knowledge;  ///< the settled shape
   std::vector<PredictionFigures> by_step, by_step_from_random, by_step_no_knowledge;
   std::map<std::string, PredictionFigures> baselines;  ///< settled shape; only n, mean_mm and median_mm
   Index failed = 0;                                    ///< cases that the predictor could not predict
   double seconds = 0.0;                                ///< inside predict()
+  std::vector<PredictedExample> examples;              ///< those that from_start counts
+  std::vector<Positions> settled, predicted;           ///< of the first examples, for the page
 };
 
 /// Measures a bound predictor on a split of a dataset: the paper's accuracy claims for its network, and more.
@@ -33,6 +44,9 @@ WEFT_API PredictionEvaluation evaluate_prediction(const Predictor& predictor, co
                                                   Host& host);
 /// prediction.json (design section 5; docs/file-formats.md).
 WEFT_API std::string prediction_evaluation_json(const PredictionEvaluation& result);
+/// cases.h5 of the page: settled and predicted shapes of the first of prediction.json's `cases`.
+WEFT_API void write_prediction_shapes(const PredictionEvaluation& result, const Garment& garment,
+                                      const std::filesystem::path& file);
 WEFT_API std::string prediction_evaluation_csv(const PredictionEvaluation& result);
 
 }  // namespace weft

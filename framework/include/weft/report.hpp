@@ -1,7 +1,10 @@
 #pragma once
 #include <filesystem>
 #include <string>
+#include <vector>
 
+#include "weft/garment.hpp"
+#include "weft/hdf5_file.hpp"
 #include "weft/session_file.hpp"
 
 /// The page that shows results: one self-contained HTML file. The template is built from apps/report when node is there
@@ -18,9 +21,14 @@ WEFT_API ReportTemplate find_report_template();
 /// The template with a session's data in it. @throws ConfigError for a template that is none.
 WEFT_API std::string session_page(const std::string& page_template, const SessionRecord& session);
 /// The template with the data of an evaluation or ablation: whichever of planning.json, estimation.json,
-/// prediction.json, ablation.json, provenance.json, config.yaml and cases.h5 lie in the folder.
+/// prediction.json, physics.json, ablation.json, provenance.json, config.yaml and cases.h5 lie in the folder.
 /// @throws ConfigError.
 WEFT_API std::string experiment_page(const std::string& page_template, const std::filesystem::path& folder);
+
+/// cases.h5: shapes of an experiment's cases for the page (docs/report.md), with its garment in it. Not committed yet.
+WEFT_API Hdf5File create_cases_file(const std::filesystem::path& file, const Garment& garment);
+/// All of one size, as [n, V, 3] in single precision.
+WEFT_API void write_shapes(Hdf5File& file, const std::string& path, const std::vector<Positions>& shapes);
 
 /// Writes folder/report.html from the results in the folder (session.h5, or those of experiment_page).
 /// @return why no page was written; empty if one was. @throws ConfigError for damaged results.

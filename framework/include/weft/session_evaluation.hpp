@@ -37,7 +37,9 @@ WEFT_API AblationRunner planning_runner(const EvaluationCases& cases, const std:
 /// segment.
 WEFT_API AblationPlan estimation_evaluation(const ConfigNode& session, const std::vector<std::string>& methods,
                                             const DataParams& data, const EvaluationCases& cases);
-WEFT_API AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams& data);
+/// Runs a cell of it, and keeps the shapes of the manipulation in folder/shapes (see write_estimation_shapes).
+WEFT_API AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams& data,
+                                          const std::filesystem::path& folder);
 
 /// One source's rows of an evaluation.
 struct EvaluationColumn {
@@ -57,6 +59,9 @@ WEFT_API std::string estimation_evaluation_table(const std::string& json);  ///<
 /// cases.h5 of the page: goals and final shapes of the rows of planning.json's `cases`, from folder/shapes.
 WEFT_API void write_planning_shapes(const EvaluationColumn& column, const Garment& garment,
                                     const std::filesystem::path& folder, const std::filesystem::path& file);
+/// The same for estimation.json: the cloth of its `cases` at the start and after every segment.
+WEFT_API void write_estimation_shapes(const EvaluationColumn& column, const Garment& garment,
+                                      const std::filesystem::path& folder, const std::filesystem::path& file);
 
 /// How often, and how well, intervals hold the truth.
 struct IntervalFigures {
