@@ -93,6 +93,13 @@ TEST(EvaluateEstimation, ComparesMethodsOnHeldOutAndOnTrainingExamples) {
   EXPECT_EQ(result["cases"].size(), 2u);
   EXPECT_GE(result["cases"][0]["knowledge"].size(), 5u);
   EXPECT_EQ(result["calibration"]["deviation_scale"].size(), 4u);
+  // A shape of the manipulation for every estimate, before the first one included.
+  const auto shapes = Hdf5File::open(folder / "out/cases.h5");
+  std::vector<std::int64_t> first{0};
+  for (const auto& one : result["cases"])
+    first.push_back(first.back() + static_cast<std::int64_t>(one["knowledge"].size()));
+  EXPECT_EQ(shapes.read_int("/estimation/first"), first);
+  EXPECT_EQ(shapes.shape("/estimation/shapes")[0], first.back());
   const Outcome again = weft_command(command + " --json --out " + quoted(folder / "out"));  // all rows are there
   EXPECT_EQ(json::parse(again.output), result);
 }

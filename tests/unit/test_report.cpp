@@ -137,6 +137,28 @@ TEST_F(ReportFolder, CasesCanBeLookedAt) {
   EXPECT_THROW(experiment_page(kTemplate, folder_), ConfigError);
 }
 
+TEST_F(ReportFolder, ManipulationsCanBeLookedAt) {
+  const auto session = small_session();
+  Garment garment;
+  garment.name = "triangle";
+  garment.faces = session.faces;
+  garment.rest = session.start.leftCols(2);
+  const auto write_cases = [&](const std::vector<std::int64_t>& first) {
+    auto file = create_cases_file(folder_ / "cases.h5", garment);
+    write_shapes(file, "/estimation/shapes", {session.start, session.goal, session.start});
+    file.write("/estimation/first", {static_cast<Index>(first.size())}, first.data());
+    file.commit();
+  };
+  write("estimation.json", R"({"cases": [], "properties": {}})");
+  write_cases({0, 2, 2, 3});
+  const std::string page = experiment_page(kTemplate, folder_);
+  EXPECT_THAT(page, AllOf(HasSubstr("\"shape\":[2,3,3]"), HasSubstr("},null,{"), HasSubstr("\"shape\":[1,3,3]")));
+  for (const auto& wrong : std::vector<std::vector<std::int64_t>>{{0, 2}, {1, 3}, {0, 4, 3}, {0, 9}}) {
+    write_cases(wrong);
+    EXPECT_THROW(experiment_page(kTemplate, folder_), ConfigError);
+  }
+}
+
 TEST_F(ReportFolder, RefusesWhatIsNoSession) {
   EXPECT_THROW(read_session(folder_ / "session.h5"), ConfigError);
   auto file = Hdf5File::create(folder_ / "session.h5");

@@ -70,7 +70,8 @@ export interface PlanningData {
   columns?: Record<string, { by_width: PlanningWidth[] }>;
 }
 export interface PropertyResult {
-  abs_error: Spread; width: Spread; failure_rate: number; coverage: Record<string, number>; interval_score: number;
+  abs_error: Spread; width: Spread; /** null: no case was finished. */
+  failure_rate: number | null; coverage: Record<string, number>; interval_score: number;
 }
 export interface EstimationCase { seed?: number; true_material: number[]; knowledge: Knowledge[] }
 export interface EstimationFigures { n: number; properties: Record<string, PropertyResult> }

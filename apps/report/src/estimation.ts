@@ -5,7 +5,7 @@ import type { EstimationCase, EstimationData, PageData, Spread } from './data';
 import { fixed, h, label, section } from './dom';
 
 /** The paper's Table 1. */
-const kPaper: Record<string, { abs_error: Spread; width: Spread; failure_rate: number }> = {
+const kPaper: Record<string, { abs_error: Spread; width: Spread; failure_rate: number | null }> = {
   bend: { abs_error: { mean: 0.061, sd: 0.053, median: 0.044 }, width: { mean: 0.28, sd: 0.17, median: 0.27 }, failure_rate: 0.08 },
   friction: { abs_error: { mean: 0.043, sd: 0.034, median: 0.034 }, width: { mean: 0.29, sd: 0.17, median: 0.28 }, failure_rate: 0.02 },
   stretch: { abs_error: { mean: 0.049, sd: 0.033, median: 0.044 }, width: { mean: 0.28, sd: 0.17, median: 0.25 }, failure_rate: 0.02 },
@@ -19,8 +19,8 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
   // Columns in the order of the paper's table.
   const columns = ['bend', 'friction', 'stretch', 'thickness'].filter((name) => names.includes(name));
   const spread = (s: Spread, digits: number) => `${fixed(s.mean, digits)} (${fixed(s.sd, digits)}), median ${fixed(s.median, digits)}`;
-  const rows: [string, (p: { abs_error: Spread; width: Spread; failure_rate: number }) => string][] = [
-    ['|c − q|', (p) => spread(p.abs_error, 3)], ['w', (p) => spread(p.width, 2)], ['Failures', (p) => `${fixed(100 * p.failure_rate, 0)} %`]];
+  const rows: [string, (p: { abs_error: Spread; width: Spread; failure_rate: number | null }) => string][] = [
+    ['|c − q|', (p) => spread(p.abs_error, 3)], ['w', (p) => spread(p.width, 2)], ['Failures', (p) => (p.failure_rate === null ? '–' : `${fixed(100 * p.failure_rate, 0)} %`)]];
   const table = h('table', { id: 'table-1' },
     h('thead', {}, h('tr', {}, h('th', {}), h('th', {}), ...columns.map((name) => h('th', { scope: 'col' }, h('span', { class: 'chip' }, h('span', { class: 'swatch', style: `background:var(--${name})` }), label(name)))))),
     h('tbody', {}, ...rows.flatMap(([name, text]) => [
@@ -28,7 +28,7 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
       h('tr', {}, h('td', { class: 'text paper' }, 'paper'), ...columns.map((p) => h('td', { class: 'paper' }, text(kPaper[p]))))]),
       h('tr', {}, h('th', { scope: 'row', class: 'text' }, 'Interval score'), h('td', { class: 'text' }, 'here'), ...columns.map((p) => h('td', {}, fixed(estimation.properties[p].interval_score, 3))))));
 
-  const points = names.flatMap((name) => Object.entries(estimation.properties[name].coverage).map(([nominal, observed]) => ({ name, nominal: Number(nominal), observed })))
+  const points = names.flatMap((name) => Object.entries(cases.length ? estimation.properties[name].coverage : {}).map(([nominal, observed]) => ({ name, nominal: Number(nominal), observed })))
     .sort((a, b) => a.nominal - b.nominal);
   const calibration = chart('Calibration: nominal against observed coverage', () => ({
     x: { domain: [0, 1], label: 'nominal: share a of the width', ticks: 5 },

@@ -400,7 +400,8 @@ export class Viewer {
     const cell = 0.1, pad = 0.02;
     const x0 = Math.floor((low.x - pad) / cell), x1 = Math.ceil((high.x + pad) / cell);
     const y0 = Math.floor((low.y - pad) / cell), y1 = Math.ceil((high.y + pad) / cell);
-    for (const [x, y] of [[x0, y0], [x1, y0], [x0, y1]]) this.extent.push(new Vector3(x * cell, y * cell - 0.04, 0));
+    // With room for the numbers along the near and the left side.
+    for (const y of [y0 * cell - 0.05, y1 * cell]) for (const x of [x0 * cell - 0.08, x1 * cell + 0.04]) this.extent.push(new Vector3(x, y, 0));
     const key = [x0, x1, y0, y1].join();
     if (key === this.groundKey) return;
     this.groundKey = key;

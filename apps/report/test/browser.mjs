@@ -287,7 +287,8 @@ async function evaluationPage() {
   // Predicted shapes in 3D: of the first 30 of 40.
   assert.equal(await page.locator('#prediction-case option').count(), 30);
   await page.locator('#prediction-cases [aria-label="case 17"]').first().dispatchEvent('click', { bubbles: true });
-  assert.match(await text(page, '#prediction-note'), new RegExp(`^Example 117, 12 segments ahead: predicted ${json('evaluation', 'prediction.json').cases[17].error_mm.toFixed(1)} mm off`));
+  const predicted = json('evaluation', 'prediction.json').cases[17];
+  assert.match(await text(page, '#prediction-note'), new RegExp(`^Example ${predicted.example}, ${predicted.segments} segments ahead: predicted ${predicted.error_mm.toFixed(1)} mm off`));
   await nextFrames(page);
   assert.ok((await look(page, '#prediction')).coloured > 3000);
   await page.setViewportSize({ width: 390, height: 844 });
@@ -414,12 +415,14 @@ async function ablationPage() {
 /** The page of the command itself, over the session of realSession(). */
 async function realAblation() {
   const config = path.join(folder, 'ablation.yaml'), out = path.join(folder, 'real-ablation');
-  writeFileSync(config, 'description: does a step of the search help?\ntask: fold.yaml\nfactors: {planning.iterations: [0, 1]}\nbaseline: 0\nseeds: {first: 1, count: 2}\n');
+  writeFileSync(config, 'description: does a step of the search help?\ntask: fold.yaml\nfactors: {search: {none: {planning: {iterations: 0}}, one: {planning: {iterations: 1}}, broken: {goal: {controls: [[1]]}}}}\nbaseline: none\nseeds: {first: 1, count: 2}\n');
   run(weft, 'ablate', config, '--quiet', '--out', out);
   const ablation = json('real-ablation', 'ablation.json');
   const page = await open(path.join(out, 'report.html'));
-  assert.equal(await page.locator('#arms tbody tr').count(), 2);
-  for (const arm of ablation.arms) {
+  assert.equal(await page.locator('#arms tbody tr').count(), 3);
+  assert.match(await text(page, '.warning'), /^Warning: 2 of 6 cells failed/);
+  assert.match(await page.locator('#failures pre').textContent(), /^broken, seed 1: .*goal\.controls/);
+  for (const arm of ablation.arms.filter((one) => one.done > 0)) {
     const shownText = await shown(page, `${arm.name} error_mm`);
     assert.ok(shownText.startsWith(arm.metrics.error_mm.mean.toFixed(2)), `${arm.name}: ${shownText}`);
   }
