@@ -3,8 +3,10 @@
 
 #include <thread>
 
+#include "simulator/bullet/contact.cpp"
 #include "simulator/bullet/links.cpp"
 #include "weft/physics.hpp"
+#include "weft/random.hpp"
 #include "weft/registry.hpp"
 #include "weft/task.hpp"
 
@@ -112,6 +114,47 @@ TEST(BulletPhysics, CantileverDropsAsTheHeavyElastica) {
     EXPECT_LT(coarse.error, 0.15) << name;
     EXPECT_NEAR(fine.measured / coarse.measured, 1.0, 0.06) << name;
   }
+}
+
+TEST(BulletContact, WhatItRemembersChangesNothing) {
+  // One half of the towel comes down on the other, trembling; with and without knowledge of the substeps before.
+  const Garment towel = shipped("towel.obj");
+  const auto n = static_cast<std::size_t>(towel.vertex_count());
+  bullet::SelfContact remembers(towel, 0.004, 0.3, true), forgets(towel, 0.004, 0.3, true);
+  const double middle = 0.5 * (towel.positions.col(0).minCoeff() + towel.positions.col(0).maxCoeff());
+  RandomStream random(7);
+  const auto shape = [&](double angle) {
+    std::vector<Eigen::Vector3d> x(n);
+    for (std::size_t i = 0; i < n; ++i) {
+      const Eigen::Vector3d flat = towel.positions.row(static_cast<Index>(i)).transpose();
+      const double arm = flat.x() - middle;
+      x[i] =
+          arm < 0.0 ? flat : Eigen::Vector3d(middle + arm * std::cos(angle), flat.y(), arm * std::sin(angle) + 0.003);
+      for (int k = 0; k < 3; ++k) x[i][k] += 1e-4 * random.normal();
+    }
+    return x;
+  };
+  const std::vector<double> inverse_mass(n, 1e4);
+  bullet::Substep one;
+  one.seconds = 1e-3;
+  one.friction = 0.5;
+  one.floor = -1.0;
+  one.inverse_mass = &inverse_mass;
+  constexpr int steps = 60;
+  Index touching = 0;
+  one.start = shape(2.9);
+  for (int s = 1; s <= steps; ++s) {
+    one.end = shape(2.9 + 0.25 * s / steps);
+    bullet::Substep other = one;
+    remembers.resolve(one, 2);
+    forgets.forget();
+    forgets.resolve(other, 2);
+    ASSERT_EQ(one.end, other.end) << "substep " << s;
+    ASSERT_EQ(remembers.touching(), forgets.touching());
+    touching += remembers.touching();
+    one.start = one.end;
+  }
+  EXPECT_GT(touching, 100);
 }
 
 std::string warning_of(const Fabric& fabric, const std::string& params = "") {

@@ -97,7 +97,7 @@ class Bullet::World {
   World& operator=(const World&) = delete;
 
   btSoftBody::Node& node(Index i) { return body_->m_nodes[static_cast<int>(i)]; }
-  const SelfContact& contact() const { return contact_; }
+  SelfContact& contact() { return contact_; }
   double floor() const { return substep_.floor; }
 
   /// Makes a vertex immovable (0) or gives it back its mass.
@@ -182,8 +182,6 @@ class Bullet::World {
     const double keep = 1.0 / (1.0 + dt * (drag_ + extra_drag_));
     begin_.resize(held_->size());
     for (std::size_t k = 0; k < held_->size(); ++k) begin_[k] = node((*held_)[k]).m_x;
-    for (std::size_t i = 0; i < n; ++i) substep_.start[i] = vector(node(static_cast<Index>(i)).m_x);
-    contact_.begin_frame(substep_.start);
 
     for (Index s = 1; s <= substeps_; ++s) {
       if (damping_ > 0.0) damp();
@@ -241,7 +239,7 @@ class Bullet::World {
   const Positions* targets_ = nullptr;
 };
 
-/// Contact keeps nothing from one frame to the next, so this is all.
+/// Contacts follow from the positions alone (SelfContact::make_contacts), so this is all.
 struct Bullet::Snapshot final : SimulatorSnapshot {
   Positions positions, velocities;
   std::vector<std::int32_t> held;
@@ -411,6 +409,7 @@ void Bullet::set_state(const Positions& positions, const Positions& velocities, 
   }
   lost_ = false;
   held_.clear();
+  world_->contact().forget();
   for (Index i = 0; i < n; ++i) {
     world_->node(i).m_x = vector(positions, i);
     world_->node(i).m_v = pinned_[i] ? btVector3(0.0, 0.0, 0.0) : vector(velocities, i);

@@ -17,6 +17,12 @@ constexpr double kReach = 0.012;
 constexpr double kRise = 0.05;
 // Part of the starting gap that a certificate keeps.
 constexpr double kKeep = 0.25;
+// Times the approach in a substep: a pair this close is a contact. Corrections move vertices further than predicted.
+constexpr double kLookAhead = 3.0;
+constexpr double kSlack = 2e-7;  // m, so that rounding wakes no pair too late
+// Smaller patches know more exactly how far they have moved against one another, and are more pairs to go through.
+constexpr Index kPatchVertices = 32;
+constexpr Index kMostPatches = 64;   // up to twice as many, by halving
 constexpr int kCertifyPasses = 4;    // that push along the normal
 constexpr int kTogetherPasses = 40;  // that make pairs move as one
 
@@ -106,84 +112,64 @@ SelfContact::SelfContact(const Garment& garment, double thickness, double self_f
   };
   for (Index e = 0; e < edges_.rows(); ++e) piece_[root(edges_(e, 0))] = root(edges_(e, 1));
   for (Index i = 0; i < n; ++i) piece_[i] = root(static_cast<std::int32_t>(i));
-  std::vector<Vector3d> centres(faces_.rows());
-  for (Index f = 0; f < faces_.rows(); ++f)
-    centres[f] = (rest_[faces_(f, 0)] + rest_[faces_(f, 1)] + rest_[faces_(f, 2)]) / 3.0;
-  face_tree_ = make_tree(centres);
-  centres.resize(edges_.rows());
-  for (Index e = 0; e < edges_.rows(); ++e) centres[e] = 0.5 * (rest_[edges_(e, 0)] + rest_[edges_(e, 1)]);
-  edge_tree_ = make_tree(centres);
+  make_patches(garment);
 }
 
-/// Halves at the median of the longer side, in rest coordinates: neighbours there stay neighbours.
-SelfContact::Tree SelfContact::make_tree(const std::vector<Vector3d>& centres) {
-  Tree tree;
-  std::vector<std::int32_t> order(centres.size());
+/// Halves the vertices at the median of the longer side, in rest coordinates: neighbours there stay neighbours.
+void SelfContact::make_patches(const Garment& garment) {
+  const Index n = garment.vertex_count();
+  const auto most = static_cast<std::size_t>(std::max<Index>(kPatchVertices, n / kMostPatches + 1));
+  std::vector<std::int32_t> order(n);
   std::iota(order.begin(), order.end(), 0);
-  struct Task {
-    std::size_t begin, end;
-    std::int32_t node;
-  };
-  tree.nodes.push_back({});
-  std::vector<Task> tasks{{0, order.size(), 0}};
-  while (!tasks.empty()) {
-    const Task task = tasks.back();
-    tasks.pop_back();
-    if (task.end - task.begin == 1) {
-      tree.nodes[task.node] = {-1, order[task.begin]};
-      continue;
+  std::vector<std::int32_t> patch_of(n);
+  const auto split = [&](const auto& self, std::size_t begin, std::size_t end) -> void {
+    if (end - begin <= most) {
+      Patch patch;
+      patch.vertices.assign(order.begin() + begin, order.begin() + end);
+      std::sort(patch.vertices.begin(), patch.vertices.end());
+      for (const auto v : patch.vertices) patch_of[v] = static_cast<std::int32_t>(patches_.size());
+      patches_.push_back(std::move(patch));
+      return;
     }
-    Vector3d low = centres[order[task.begin]], high = low;
-    for (std::size_t k = task.begin; k < task.end; ++k) {
-      low = low.cwiseMin(centres[order[k]]);
-      high = high.cwiseMax(centres[order[k]]);
+    Vector3d low = rest_[order[begin]], high = low;
+    for (std::size_t k = begin; k < end; ++k) {
+      low = low.cwiseMin(rest_[order[k]]);
+      high = high.cwiseMax(rest_[order[k]]);
     }
     const int axis = (high - low).x() >= (high - low).y() ? 0 : 1;
-    const std::size_t middle = (task.begin + task.end) / 2;
-    std::nth_element(order.begin() + task.begin, order.begin() + middle, order.begin() + task.end,
+    const std::size_t middle = (begin + end) / 2;
+    std::nth_element(order.begin() + begin, order.begin() + middle, order.begin() + end,
                      [&](std::int32_t a, std::int32_t b) {
-                       return centres[a][axis] != centres[b][axis] ? centres[a][axis] < centres[b][axis] : a < b;
+                       return rest_[a][axis] != rest_[b][axis] ? rest_[a][axis] < rest_[b][axis] : a < b;
                      });
-    const auto left = static_cast<std::int32_t>(tree.nodes.size());
-    tree.nodes[task.node] = {left, left + 1};
-    tree.nodes.push_back({});
-    tree.nodes.push_back({});
-    tasks.push_back({task.begin, middle, left});
-    tasks.push_back({middle, task.end, left + 1});
+    self(self, begin, middle);
+    self(self, middle, end);
+  };
+  split(split, 0, order.size());
+  for (Index f = 0; f < faces_.rows(); ++f)
+    patches_[patch_of[faces_.row(f).minCoeff()]].faces.push_back(static_cast<std::int32_t>(f));
+  for (Index e = 0; e < edges_.rows(); ++e)
+    patches_[patch_of[edges_.row(e).minCoeff()]].edges.push_back(static_cast<std::int32_t>(e));
+  for (Patch& patch : patches_) {
+    patch.reach = patch.vertices;
+    for (const auto f : patch.faces)
+      for (int k = 0; k < 3; ++k) patch.reach.push_back(faces_(f, k));
+    for (const auto e : patch.edges)
+      for (int k = 0; k < 2; ++k) patch.reach.push_back(edges_(e, k));
+    std::sort(patch.reach.begin(), patch.reach.end());
+    patch.reach.erase(std::unique(patch.reach.begin(), patch.reach.end()), patch.reach.end());
   }
-  tree.boxes.resize(tree.nodes.size());
-  return tree;
+  const auto count = static_cast<std::int32_t>(patches_.size());
+  for (std::int32_t a = 0; a < count; ++a)
+    for (std::int32_t b = a; b < count; ++b) neighbours_.push_back({a, b, {}});
+  forget();
 }
 
-template <class BoxOf>
-void SelfContact::refit(Tree& tree, const BoxOf& box_of) {
-  for (std::size_t k = tree.nodes.size(); k-- > 0;) {
-    const Node& node = tree.nodes[k];
-    if (node.left < 0) {
-      tree.boxes[k] = box_of(node.right);
-    } else {
-      const Box &a = tree.boxes[node.left], &b = tree.boxes[node.right];
-      tree.boxes[k] = {a.low.cwiseMin(b.low), a.high.cwiseMax(b.high)};
-    }
-  }
-}
-
-template <class Visit>
-void SelfContact::overlapping(const Tree& tree, const Box& box, std::vector<std::int32_t>& stack, const Visit& visit) {
-  stack.assign(1, 0);
-  while (!stack.empty()) {
-    const std::int32_t k = stack.back();
-    stack.pop_back();
-    const Box& other = tree.boxes[k];
-    if ((box.low.array() > other.high.array()).any() || (box.high.array() < other.low.array()).any()) continue;
-    const Node& node = tree.nodes[k];
-    if (node.left < 0) {
-      visit(node.right);
-    } else {
-      stack.push_back(node.left);
-      stack.push_back(node.right);
-    }
-  }
+void SelfContact::forget() {
+  before_.clear();
+  travelled_.assign(neighbours_.size(), 0.0);
+  alarm_.assign(neighbours_.size(), -std::numeric_limits<double>::infinity());
+  for (Neighbours& one : neighbours_) one.horizon = alarm_.front();
 }
 
 double SelfContact::rest_distance(const Pair& pair) const {
@@ -192,56 +178,79 @@ double SelfContact::rest_distance(const Pair& pair) const {
   return difference(rest_, pair.node, pair.edges, weight).norm();
 }
 
-void SelfContact::begin_frame(const std::vector<Vector3d>& positions) {
-  travelled_ = 0.0;
-  if (self_) find_pairs(positions);
-}
-
-/// All pairs within reach, in an order that depends on their vertices only, so that moving the world changes nothing.
-void SelfContact::find_pairs(const std::vector<Vector3d>& x) {
-  found_at_ = travelled_;
-  pairs_.clear();
+/// All pairs within reach between the two patches.
+void SelfContact::find_pairs(Neighbours& neighbours, double travelled, const std::vector<Vector3d>& x) const {
+  neighbours.pairs.clear();
+  neighbours.wake.clear();
+  const Patch &a = patches_[neighbours.a], &b = patches_[neighbours.b];
+  const auto box_of = [&](const auto& vertices) {
+    Box box{x[vertices[0]], x[vertices[0]]};
+    for (const auto v : vertices) {
+      box.low = box.low.cwiseMin(x[v]);
+      box.high = box.high.cwiseMax(x[v]);
+    }
+    return box;
+  };
+  const auto apart = [](const Box& p, const Box& q) {
+    return (p.low - q.high).cwiseMax(q.low - p.high).cwiseMax(Vector3d::Zero()).norm();
+  };
+  const Box box_a = box_of(a.reach), box_b = box_of(b.reach);
   const double far = thickness_ + kReach;
-  const auto face_box = [&](std::int32_t f) {
-    const Vector3d &a = x[faces_(f, 0)], &b = x[faces_(f, 1)], &c = x[faces_(f, 2)];
-    return Box{a.cwiseMin(b).cwiseMin(c), a.cwiseMax(b).cwiseMax(c)};
-  };
-  const auto edge_box = [&](std::int32_t e) {
-    const Vector3d &a = x[edges_(e, 0)], &b = x[edges_(e, 1)];
-    return Box{a.cwiseMin(b), a.cwiseMax(b)};
-  };
-  refit(face_tree_, face_box);
-  refit(edge_tree_, edge_box);
-  std::vector<std::int32_t> stack, found;
+  // Patches far from one another have no pairs until they have come near.
+  const double clear = std::max(far, apart(box_a, box_b));
+  neighbours.horizon = travelled + clear - thickness_;
+  if (clear > far) return;
+
   const auto add = [&](Pair pair) {
     double weight[4];
     const double distance = difference(x, pair.node, pair.edges, weight).norm();
     if (distance > far) return;
     // Neighbours that the flat sheet has closer than the thickness are no layers.
     pair.target = std::min(thickness_, 0.9 * rest_distance(pair));
-    pair.wake = travelled_;
-    pairs_.push_back(pair);
+    neighbours.pairs.push_back(pair);
   };
-  const Vector3d margin = Vector3d::Constant(far);
-  for (std::int32_t v = 0; v < static_cast<std::int32_t>(x.size()); ++v) {
-    found.clear();
-    overlapping(face_tree_, {x[v] - margin, x[v] + margin}, stack, [&](std::int32_t f) {
-      if (faces_(f, 0) != v && faces_(f, 1) != v && faces_(f, 2) != v) found.push_back(f);
-    });
-    std::sort(found.begin(), found.end());
-    for (const std::int32_t f : found) add({{v, faces_(f, 0), faces_(f, 1), faces_(f, 2)}, false, 0.0, 0.0});
-  }
-  for (std::int32_t e = 0; e < static_cast<std::int32_t>(edges_.rows()); ++e) {
-    found.clear();
-    const Box box = edge_box(e);
-    const int a = edges_(e, 0), b = edges_(e, 1);
-    overlapping(edge_tree_, {box.low - margin, box.high + margin}, stack, [&](std::int32_t other) {
-      const int c = edges_(other, 0), d = edges_(other, 1);
-      if (other > e && a != c && a != d && b != c && b != d) found.push_back(other);
-    });
-    std::sort(found.begin(), found.end());
-    for (const std::int32_t other : found) add({{a, b, edges_(other, 0), edges_(other, 1)}, true, 0.0, 0.0});
-  }
+  // Those of the primitives that are near the other patch, with their boxes.
+  const auto near = [&](const auto& primitives, const auto& corners, const Box& other) {
+    std::vector<std::pair<std::int32_t, Box>> found;
+    for (const auto p : primitives) {
+      const Box box = box_of(corners(p));
+      if (apart(box, other) <= far) found.emplace_back(p, box);
+    }
+    return found;
+  };
+  const auto vertex = [](std::int32_t v) { return std::array<std::int32_t, 1>{v}; };
+  const auto face = [&](std::int32_t f) {
+    return std::array<std::int32_t, 3>{faces_(f, 0), faces_(f, 1), faces_(f, 2)};
+  };
+  const auto edge = [&](std::int32_t e) { return std::array<std::int32_t, 2>{edges_(e, 0), edges_(e, 1)}; };
+  const auto overlap = [&](const Box& p, const Box& q) {
+    return ((p.low - q.high).array() <= far).all() && ((q.low - p.high).array() <= far).all();
+  };
+  const auto vertices_to_faces = [&](const Patch& of, const Box& box_of_faces, const Patch& to, const Box& box) {
+    const auto faces = near(to.faces, face, box);
+    for (const auto& [v, point] : near(of.vertices, vertex, box_of_faces))
+      for (const auto& [f, box_f] : faces) {
+        const auto c = face(f);
+        if (c[0] != v && c[1] != v && c[2] != v && overlap(point, box_f))
+          add({{v, c[0], c[1], c[2]}, false, 0.0, (std::int64_t{v} << 31) | f});
+      }
+  };
+  const bool same = neighbours.a == neighbours.b;
+  vertices_to_faces(a, box_b, b, box_a);
+  if (!same) vertices_to_faces(b, box_a, a, box_b);
+  const auto add_edges = [&](std::int32_t e, std::int32_t other) {
+    const auto c = edge(e), d = edge(other);
+    add({{c[0], c[1], d[0], d[1]}, true, 0.0, (std::int64_t{1} << 62) | (std::int64_t{e} << 31) | other});
+  };
+  const auto edges = near(b.edges, edge, box_a);
+  for (const auto& [e, box_e] : near(a.edges, edge, box_b))
+    for (const auto& [other, box_other] : edges) {
+      if (same && other <= e) continue;
+      const auto c = edge(e), d = edge(other);
+      if (c[0] != d[0] && c[0] != d[1] && c[1] != d[0] && c[1] != d[1] && overlap(box_e, box_other))
+        add_edges(std::min(e, other), std::max(e, other));
+    }
+  neighbours.wake.assign(neighbours.pairs.size(), travelled);
 }
 
 void SelfContact::resolve(Substep& substep, int passes) {
@@ -255,40 +264,88 @@ void SelfContact::resolve(Substep& substep, int passes) {
   certify(substep);
 }
 
+/// The contacts follow from the positions at the start and end of this substep alone. What happened before only tells
+/// which pairs need not be looked at: a gap shrinks by no more than the two patches have moved against one another, and
+/// that by no more than the size of the box of their vertices' moves.
 void SelfContact::make_contacts(const Substep& substep) {
-  contacts_.clear();
-  // Two vertices come closer by no more than the size of the box of all moves.
-  Vector3d low = substep.end[0] - substep.start[0], high = low;
-  for (std::size_t i = 1; i < substep.end.size(); ++i) {
-    const Vector3d move = substep.end[i] - substep.start[i];
-    low = low.cwiseMin(move);
-    high = high.cwiseMax(move);
+  found_.clear();
+  const auto count = static_cast<Index>(patches_.size());
+  // Rows: low and high of the moves of each patch, since the substep before and in this one.
+  Eigen::ArrayXXd moved(count, 6), moves(count, 6);
+  const auto bounds = [&](const auto& move, auto& rows) {
+    for (Index p = 0; p < count; ++p) {
+      const auto& reach = patches_[p].reach;
+      Vector3d low = move(reach[0]), high = low;
+      for (const auto v : reach) {
+        const Vector3d d = move(v);
+        low = low.cwiseMin(d);
+        high = high.cwiseMax(d);
+      }
+      rows.row(p) << low.transpose().array(), high.transpose().array();
+    }
+  };
+  if (before_.empty()) before_ = substep.start;
+  bounds([&](std::int32_t v) -> Vector3d { return substep.start[v] - before_[v]; }, moved);
+  bounds([&](std::int32_t v) -> Vector3d { return substep.end[v] - substep.start[v]; }, moves);
+  before_ = substep.start;
+  std::size_t first = 0;
+  for (Index a = 0; a < count; ++a) {
+    const Index n = count - a;
+    const auto sizes = [&](const Eigen::ArrayXXd& rows) {
+      Eigen::ArrayXd square = Eigen::ArrayXd::Zero(n);
+      for (int k = 0; k < 3; ++k)
+        square += (rows.col(3 + k).tail(n).max(rows(a, 3 + k)) - rows.col(k).tail(n).min(rows(a, k))).square();
+      return Eigen::ArrayXd(square.sqrt());
+    };
+    const Eigen::ArrayXd way = sizes(moved), range = sizes(moves);
+    for (Index k = 0; k < n; ++k) {
+      const std::size_t at = first + static_cast<std::size_t>(k);
+      travelled_[at] += way[k];
+      if (!(travelled_[at] + kLookAhead * range[k] + kSlack < alarm_[at])) add_contacts(at, range[k], substep);
+    }
+    first += static_cast<std::size_t>(n);
   }
-  // Corrections to come included.
-  const double range = 1.5 * (high - low).norm() + 1e-7;
-  if (travelled_ + range - found_at_ > kReach) find_pairs(substep.start);
-  for (Pair& pair : pairs_) {
-    if (pair.wake > travelled_ + range) continue;
+  order_.clear();
+  for (std::size_t k = 0; k < found_.size(); ++k) order_.emplace_back(found_[k].pair->order, k);
+  std::sort(order_.begin(), order_.end());
+  contacts_.clear();
+  for (const auto& [order, k] : order_) contacts_.push_back(found_[k]);
+}
+
+/// @param range m, bound on the relative move of any two vertices of the patches in this substep.
+void SelfContact::add_contacts(std::size_t at, double range, const Substep& substep) {
+  Neighbours& neighbours = neighbours_[at];
+  const double travelled = travelled_[at], soon = travelled + kLookAhead * range + kSlack;
+  if (!(soon < neighbours.horizon)) find_pairs(neighbours, travelled, substep.start);
+  double alarm = neighbours.horizon;
+  for (std::size_t p = 0; p < neighbours.pairs.size(); ++p) {
+    double& wake = neighbours.wake[p];
+    if (wake > soon) {
+      alarm = std::min(alarm, wake);
+      continue;
+    }
+    const Pair& pair = neighbours.pairs[p];
     Contact contact;
     const Vector3d way = difference(substep.start, pair.node, pair.edges, contact.weight);
     contact.gap = way.norm();
-    pair.wake = travelled_ + contact.gap - pair.target;
-    // The same bound for this pair alone.
+    wake = travelled + contact.gap - pair.target;
+    alarm = std::min(alarm, wake);
+    // How far the four vertices come together, corrections to come included.
     double closing = 0.0;
     for (int k = 1; k < 4; ++k)
       closing = std::max(closing, (substep.end[pair.node[k]] - substep.start[pair.node[k]] - substep.end[pair.node[0]] +
                                    substep.start[pair.node[0]])
                                       .squaredNorm());
-    if (contact.gap - pair.target > 3.0 * std::sqrt(closing) + 1e-7 || contact.gap < 1e-9) continue;
+    if (contact.gap - pair.target > kLookAhead * std::sqrt(closing) + 0.5 * kSlack || contact.gap < 1e-9) continue;
     contact.pair = &pair;
     contact.normal = way / contact.gap;
     contact.wanted = std::min(pair.target, contact.gap + kRise * substep.seconds);
     contact.mobility = 0.0;
     for (int k = 0; k < 4; ++k)
       contact.mobility += contact.weight[k] * contact.weight[k] * (*substep.inverse_mass)[pair.node[k]];
-    if (contact.mobility > 0.0) contacts_.push_back(contact);
+    if (contact.mobility > 0.0) found_.push_back(contact);
   }
-  travelled_ += range;
+  alarm_[at] = alarm;
 }
 
 void SelfContact::push_apart(Substep& substep) {

@@ -1,6 +1,7 @@
 #pragma once
 #include <Eigen/Core>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "weft/garment.hpp"
@@ -35,8 +36,8 @@ class SelfContact {
   /// @param thickness m, distance of mid-surfaces. @param self whether layers of cloth see one another.
   SelfContact(const Garment& garment, double thickness, double self_friction, bool self);
 
-  /// Forgets everything: what follows depends on the positions given and on nothing else.
-  void begin_frame(const std::vector<Eigen::Vector3d>& positions);
+  /// Positions are to be set from outside: what was known of distances is void.
+  void forget();
   /// Corrects substep.end.
   void resolve(Substep& substep, int passes);
 
@@ -48,8 +49,8 @@ class SelfContact {
   struct Pair {
     std::int32_t node[4];
     bool edges;
-    double target;  ///< m
-    double wake;    ///< of travelled_: before, it cannot touch
+    double target;       ///< m
+    std::int64_t order;  ///< of the contacts: vertex-face pairs by vertex and face, then edges
   };
   struct Contact {
     const Pair* pair;
@@ -63,23 +64,24 @@ class SelfContact {
   struct Box {
     Eigen::Vector3d low, high;
   };
-  struct Node {
-    std::int32_t left, right;  ///< children, or -1 and the leaf's primitive
+  /// A piece of the sheet that moves as a piece. Every vertex, face and edge belongs to one patch.
+  struct Patch {
+    std::vector<std::int32_t> vertices, faces, edges;
+    std::vector<std::int32_t> reach;  ///< the vertices, and those of its faces and edges
   };
-  struct Tree {
-    std::vector<Node> nodes;  ///< children after their parent; node 0 is the root
-    std::vector<Box> boxes;
+  /// Two patches, or one with itself: the pairs between them that are close.
+  struct Neighbours {
+    std::int32_t a, b;
+    std::vector<Pair> pairs;
+    std::vector<double> wake;  ///< per pair, of travelled_: before, it cannot touch
+    double horizon = 0.0;      ///< of travelled_: beyond, pairs that are not listed may touch
   };
 
-  static Tree make_tree(const std::vector<Eigen::Vector3d>& centres);
-  template <class BoxOf>
-  static void refit(Tree& tree, const BoxOf& box_of);
-  template <class Visit>
-  static void overlapping(const Tree& tree, const Box& box, std::vector<std::int32_t>& stack, const Visit& visit);
-
-  void find_pairs(const std::vector<Eigen::Vector3d>& x);
+  void make_patches(const Garment& garment);
+  void find_pairs(Neighbours& neighbours, double travelled, const std::vector<Eigen::Vector3d>& x) const;
   double rest_distance(const Pair& pair) const;
   void make_contacts(const Substep& substep);
+  void add_contacts(std::size_t neighbours, double range, const Substep& substep);
   void push_apart(Substep& substep);
   void push_off_ground(Substep& substep);
   void rub(Substep& substep);
@@ -91,13 +93,17 @@ class SelfContact {
   Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_;
   std::vector<Eigen::Vector3d> rest_;
   std::vector<std::int32_t> piece_;  ///< connected component of each vertex
-  Tree face_tree_, edge_tree_;
+  std::vector<Patch> patches_;
+  std::vector<Neighbours> neighbours_;  ///< of all patches a <= b, in this order
+  // Per neighbours_, m. Apart from them because every substep goes through all.
+  std::vector<double> travelled_;  ///< bound on the way of any vertex of a relative to any of b, since forget()
+  std::vector<double> alarm_;      ///< of travelled_: before, nothing there can touch
 
-  std::vector<Pair> pairs_;
+  std::vector<Eigen::Vector3d> before_;                      ///< start of the substep before; empty: unknown
+  std::vector<Contact> found_;                               ///< by neighbours
+  std::vector<std::pair<std::int64_t, std::size_t>> order_;  ///< of found_
   std::vector<Contact> contacts_;
   std::vector<double> lifted_;  ///< m, by the ground in this substep
-  double travelled_ = 0.0;      ///< m, bound on the relative motion of any two vertices since begin_frame()
-  double found_at_ = 0.0;       ///< travelled_ at the last find_pairs()
   Index touching_ = 0, uncertified_ = 0;
 };
 
