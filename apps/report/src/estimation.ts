@@ -1,7 +1,7 @@
 // `weft evaluate estimation`: the paper's Table 1 and Fig. 4, calibration, and the replayed manipulations in 3D.
 import { chooser, clickCases, sequenceViewer } from './cases';
 import { chart, key, materialChart, Plot, type Chart } from './charts';
-import type { EstimationCase, EstimationData, PageData, Spread } from './data';
+import type { EstimationCase, EstimationData, PageData, PropertyResult, Spread } from './data';
 import { fixed, h, label, section } from './dom';
 
 /** The paper's Table 1. */
@@ -21,12 +21,14 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
   const spread = (s: Spread, digits: number) => `${fixed(s.mean, digits)} (${fixed(s.sd, digits)}), median ${fixed(s.median, digits)}`;
   const rows: [string, (p: { abs_error: Spread; width: Spread; failure_rate: number | null }) => string][] = [
     ['|c − q|', (p) => spread(p.abs_error, 3)], ['w', (p) => spread(p.width, 2)], ['Failures', (p) => (p.failure_rate === null ? '–' : `${fixed(100 * p.failure_rate, 0)} %`)]];
+  const more: [string, (p: PropertyResult) => string][] = [
+    ['Within a = 0.5, 0.8, 1', (p) => ['0.5', '0.8', '1'].map((a) => fixed(p.coverage[a], 2)).join(', ')], ['Interval score', (p) => fixed(p.interval_score, 3)]];
   const table = h('table', { id: 'table-1' },
     h('thead', {}, h('tr', {}, h('th', {}), h('th', {}), ...columns.map((name) => h('th', { scope: 'col' }, h('span', { class: 'chip' }, h('span', { class: 'swatch', style: `background:var(--${name})` }), label(name)))))),
     h('tbody', {}, ...rows.flatMap(([name, text]) => [
       h('tr', {}, h('th', { scope: 'row', rowspan: 2, class: 'text' }, name), h('td', { class: 'text' }, 'here'), ...columns.map((p) => h('td', { 'data-key': `${p} ${name}` }, text(estimation.properties[p])))),
       h('tr', {}, h('td', { class: 'text paper' }, 'paper'), ...columns.map((p) => h('td', { class: 'paper' }, text(kPaper[p]))))]),
-      h('tr', {}, h('th', { scope: 'row', class: 'text' }, 'Interval score'), h('td', { class: 'text' }, 'here'), ...columns.map((p) => h('td', {}, fixed(estimation.properties[p].interval_score, 3))))));
+      ...more.map(([name, text]) => h('tr', {}, h('th', { scope: 'row', class: 'text' }, name), h('td', { class: 'text' }, 'here'), ...columns.map((p) => h('td', { 'data-key': `${p} ${name}` }, text(estimation.properties[p])))))));
 
   const points = names.flatMap((name) => Object.entries(cases.length ? estimation.properties[name].coverage : {}).map(([nominal, observed]) => ({ name, nominal: Number(nominal), observed })))
     .sort((a, b) => a.nominal - b.nominal);
@@ -73,7 +75,7 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
       x: { domain: [0, 1], ticks: [0, 0.5, 1], label: 'true' }, y: { domain: [0, 1], ticks: [0, 0.5, 1], label: null },
       marks: [
         Plot.line([[0, 0], [1, 1]], { stroke: 'var(--muted)', strokeDasharray: '5,4' }),
-        Plot.ruleX(rows, { x: 'truth', y1: 'low', y2: 'high', stroke: colour, strokeOpacity: 0.35 }),
+        Plot.ruleX(rows, { x: 'truth', y1: 'low', y2: 'high', stroke: colour, strokeOpacity: 0.6 }),
         Plot.dot(rows, { x: 'truth', y: 'centre', r: 3.2, fill: colour, ariaLabel: (row) => `case ${row.index}`, title: (row) => `case ${row.index + 1}: ${fixed(row.centre, 2)} in [${fixed(row.low, 2)}, ${fixed(row.high, 2)}], true ${fixed(row.truth, 2)}` }),
       ],
     }), { height: 190 }).element;
@@ -85,12 +87,12 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
   });
   const variants = Object.entries(estimation.columns ?? {}).flatMap(([source, methods]) => Object.entries(methods).map(([method, figures]) => ({ source, method, figures })));
   const comparison = variants.length < 2 ? null : h('div', { class: 'wide' }, section('estimation-columns', 'Methods and sources of cases', 'Median |c − q|, and in brackets the share of true values in the middle 80 % of the interval.',
-    h('div', { class: 'scroll' }, h('table', {},
+    h('div', { class: 'scroll', tabindex: 0 }, h('table', {},
       h('thead', {}, h('tr', {}, ...['Cases', 'Method', 'n', ...columns.map(label)].map((text, i) => h('th', { scope: 'col', class: i < 2 ? 'text' : '' }, text)))),
       h('tbody', {}, ...variants.map(({ source, method, figures }) => h('tr', {}, ...[source, method, String(figures.n),
         ...columns.map((p) => `${fixed(figures.properties[p]?.abs_error.median, 3)} (${fixed(figures.properties[p]?.coverage['0.8'], 2)})`)].map((text, i) => h('td', { class: i < 2 ? 'text' : '' }, text)))))))));
   return h('div', { class: 'figures', id: 'estimation' },
-    h('div', { class: 'wide' }, section('estimation-table', 'Estimation: results beside the paper’s (Table 1)', `Mean (standard deviation), median after the last segment; n = ${cases.length}${failed ? ` (${failed} failed)` : ''}, the paper n = 50. A failure is |c − q| > 0.1 with q outside [c − w/2, c + w/2].`, h('div', { class: 'scroll' }, table))),
+    h('div', { class: 'wide' }, section('estimation-table', 'Estimation: results beside the paper’s (Table 1)', `Mean (standard deviation), median after the last segment; n = ${cases.length}${failed ? ` (${failed} failed)` : ''}, the paper n = 50. A failure is |c − q| > 0.1 with q outside [c − w/2, c + w/2].`, h('div', { class: 'scroll', tabindex: 0 }, table))),
     h('div', { class: 'wide' }, section('estimation-overview', 'All cases', 'Centre c and interval c ± w/2 after the last segment against the true value. Click a point to see the case below.', h('div', { class: 'small-multiples' }, ...overview))),
     h('div', { class: 'wide' }, section('estimation-cases', 'Estimates over segments (Fig. 4)', `Band c ± w/2, centre c, and the true value as a dotted line.${viewer ? ' Click in a figure to see the cloth after that segment.' : ' The shapes of the cases were not recorded, so there is nothing to see in 3D.'}`, cases.length ? choice.element : null, charts, viewer?.element)),
     comparison,

@@ -37,7 +37,8 @@ export function planningPart(page: PageData, planning: PlanningData): HTMLElemen
       y: { domain: [0, top], label: 'mm', grid: true },
       marks: [
         Plot.ruleY([kPaperMedianMm], { stroke: 'var(--c2)', strokeDasharray: '6,4', strokeWidth: 1.5 }),
-        Plot.ruleX(boxes, { x: 'width', y1: 'low', y2: 'high', stroke: 'var(--ink)' }),
+        Plot.ruleX(boxes, { x: 'width', y1: 'low', y2: 'q1_mm', stroke: 'var(--ink)' }),
+        Plot.ruleX(boxes, { x: 'width', y1: 'q3_mm', y2: 'high', stroke: 'var(--ink)' }),
         Plot.barY(boxes, { x: 'width', y1: 'q1_mm', y2: 'q3_mm', fill: 'var(--c0)', fillOpacity: 0.3, stroke: 'var(--c0)' }),
         Plot.tickY(boxes, { x: 'width', y: 'median_mm', stroke: 'var(--ink)', strokeWidth: 2.5 }),
         Plot.dot(boxes, { x: 'width', y: 'mean_mm', symbol: 'diamond', fill: 'var(--ink)', r: 3 }),
@@ -79,7 +80,7 @@ export function planningPart(page: PageData, planning: PlanningData): HTMLElemen
         'Mean distance to the goal over all vertices, after settling. Boxes: quartiles and median; whiskers: farthest case within 1.5 times the box; diamonds: mean. Numbers at the top count the outliers, drawn in orange. Click a point to see the case.',
         key({ text: `the paper’s median at w = 0.1: ${kPaperMedianMm} mm`, colour: 'var(--c2)', style: 'dashed' }),
         h('label', { class: 'check' }, scaleBox, 'fit the scale to all outliers'), figure.element,
-        h('details', { id: 'planning-numbers' }, h('summary', {}, 'Numbers'), h('div', { class: 'scroll' }, h('table', {}, h('thead', {}, h('tr', {}, ...head.map((text) => h('th', { scope: 'col' }, text)))),
+        h('details', { id: 'planning-numbers' }, h('summary', {}, 'Numbers'), h('div', { class: 'scroll', tabindex: 0 }, h('table', {}, h('thead', {}, h('tr', {}, ...head.map((text) => h('th', { scope: 'col' }, text)))),
           h('tbody', {}, ...boxes.map((box) => h('tr', {}, ...[String(box.width), String(box.n), fixed(box.median_mm, 2), fixed(box.mean_mm, 2), fixed(box.sd_mm, 2), `${fixed(box.q1_mm, 2)} – ${fixed(box.q3_mm, 2)}`, String(box.count)].map((text) => h('td', {}, text)))))),
           others.length ? h('table', { id: 'planning-columns' }, h('caption', {}, 'Median error in mm (and cases) by where the goals come from.'),
             h('thead', {}, h('tr', {}, h('th', { scope: 'col' }, 'w'), ...[planning.goals ?? 'here', ...others.map(([source]) => source)].map((source) => h('th', { scope: 'col' }, source)))),

@@ -1,7 +1,7 @@
 // `weft evaluate prediction`: error and calibration against segments ahead, and predicted shapes in 3D.
 import { caseViewer, chooser, clickCases } from './cases';
 import { chart, key, Plot, wholeTicks } from './charts';
-import type { PageData, PredictionData } from './data';
+import type { PageData, PredictionData, StepResult } from './data';
 import { fixed, h, label, section } from './dom';
 
 export function predictionPart(page: PageData, prediction: PredictionData): HTMLElement {
@@ -19,7 +19,7 @@ export function predictionPart(page: PageData, prediction: PredictionData): HTML
       ...more,
       ...series.flatMap(({ name, rows, colour }) => [
         Plot.lineY(rows, { x: 'steps', y: value, stroke: colour, strokeWidth: 2.2 }),
-        Plot.dot(rows, { x: 'steps', y: value, fill: colour, r: 2.6, tip: true, title: (row) => `${name}, ${row.steps} ahead: ${fixed(row[value], digits)}` }),
+        Plot.dot(rows, { x: 'steps', y: value, fill: colour, r: 2.6, tip: true, title: (row) => `${name}, ${row.steps} ahead: ${fixed(row[value], digits)}${row.n ? ` (n = ${row.n})` : ''}` }),
       ]),
     ],
   }), { height: 260 });
@@ -28,16 +28,21 @@ export function predictionPart(page: PageData, prediction: PredictionData): HTML
   const coverage = figure('Share of coordinates within one sigma', 'share', 'coverage_1sigma', 3, [
     Plot.ruleY([0.683], { stroke: 'var(--muted)', strokeDasharray: '5,4' })], { domain: [0, 1], ticks: 5 });
   const head = ['', 'n', 'Mean, mm', 'Median, mm', 'Mean σ, mm', 'Within 1 σ', 'Mean (error/σ)²', 'NLL per coordinate'];
+  const figures = (row: Omit<StepResult, 'steps'>) =>
+    [String(row.n ?? '–'), fixed(row.mean_mm, 2), fixed(row.median_mm, 2), fixed(row.sigma_mm, 2), fixed(row.coverage_1sigma, 3), fixed(row.nse, 2), fixed(row.nll, 2)];
   const named: Record<string, string> = { from_start: 'from the start', from_random: 'from a random segment', no_knowledge: 'without knowledge of the material' };
   return h('div', { class: 'figures', id: 'prediction' },
     section('prediction-steps', 'Prediction: error against segments ahead', 'Mean distance over all vertices, over held-out examples.',
       key(...series.map(({ name, colour }) => ({ text: `mean, ${name}`, colour, style: 'line' as const })), { text: 'median, from the start', colour: 'var(--c0)', style: 'dashed' }), errors.element),
     section('prediction-coverage', 'Is the predicted sigma right?', 'Share of coordinates within one σ of what happened; 0.683 for a normal distribution (dashed).',
       key(...series.map(({ name, colour }) => ({ text: name, colour, style: 'line' as const }))), coverage.element),
-    h('div', { class: 'wide' }, section('prediction-table', 'Settled shapes', null, h('div', { class: 'scroll' }, h('table', {},
+    h('div', { class: 'wide' }, h('details', { id: 'prediction-numbers' }, h('summary', {}, 'Numbers by segments ahead'), h('div', { class: 'scroll', tabindex: 0 }, h('table', {},
+      h('thead', {}, h('tr', {}, ...['', 'Ahead', ...head.slice(1)].map((text) => h('th', { scope: 'col' }, text)))),
+      h('tbody', {}, ...series.flatMap(({ name, rows }) => rows.map((row) => h('tr', {}, h('td', {}, name), ...[String(row.steps), ...figures(row)].map((text) => h('td', {}, text)))))))))),
+    h('div', { class: 'wide' }, section('prediction-table', 'Settled shapes', null, h('div', { class: 'scroll', tabindex: 0 }, h('table', {},
       h('thead', {}, h('tr', {}, ...head.map((text) => h('th', { scope: 'col' }, text)))),
       h('tbody', {}, ...Object.entries(prediction.settled ?? {}).map(([name, row]) => h('tr', {}, h('td', {}, named[name] ?? label(name)),
-        ...[String(row.n ?? '–'), fixed(row.mean_mm, 2), fixed(row.median_mm, 2), fixed(row.sigma_mm, 2), fixed(row.coverage_1sigma, 3), fixed(row.nse, 2), fixed(row.nll, 2)].map((text) => h('td', {}, text)))),
+        ...figures(row).map((text) => h('td', {}, text)))),
         ...baselines.map(({ name, value }) => h('tr', {}, h('td', {}, `baseline: ${label(name).toLowerCase()}`), ...[String(value.n), fixed(value.mean_mm, 2), fixed(value.median_mm, 2), '', '', '', ''].map((text) => h('td', {}, text))))))))),
     casesPart(page, prediction));
 }

@@ -352,7 +352,7 @@ export function sessionPage(page: PageData): HTMLElement {
         key({ text: 'executed', colour: 'var(--executed)', style: 'line' }, { text: 'plan of the chosen round', colour: 'var(--planned)', style: 'dashed' }),
         h('div', { class: 'small-multiples' }, ...controlCharts.map((one) => h('div', {}, h('h3', {}, one.name, one.unit && h('span', { class: 'sub' }, one.unit)), one.chart.element)))))),
     h('div', { class: 'details' },
-      h('details', { id: 'numbers' }, h('summary', {}, 'Numbers by segment'), h('div', { class: 'scroll' }, segmentTable())),
+      h('details', { id: 'numbers' }, h('summary', {}, 'Numbers by segment'), h('div', { class: 'scroll', tabindex: 0 }, segmentTable())),
       keysDetails(), ...provenanceDetails(page)));
 
   function segmentTable() {

@@ -116,7 +116,6 @@ class Surface {
 }
 
 export type Overlay = 'goal' | 'prediction';
-const kOverlayColours: Record<Overlay, string> = { goal: 'goal', prediction: 'prediction' };
 
 export class Viewer {
   readonly element: HTMLElement;
@@ -374,10 +373,7 @@ export class Viewer {
     if (!this.renderer) return;
     this.renderer.setClearColor(new Color(cssColour('view')));
     this.cloth.paint();
-    for (const name of Object.keys(this.overlays) as Overlay[]) {
-      this.overlays[name].colours.fill(kOverlayColours[name]);
-      this.overlays[name].paint();
-    }
+    for (const overlay of Object.values(this.overlays)) overlay.paint();
     this.cloth.material.uniforms.map.value ??= mapTexture();
     (this.shadow.material as MeshBasicMaterial).color.set(cssColour('shadow'));
     (this.edges.material as LineBasicMaterial).color.set(cssColour('edge'));

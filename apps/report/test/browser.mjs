@@ -260,6 +260,7 @@ async function evaluationPage() {
     const { abs_error: error, width } = estimation.properties[name];
     assert.equal(await shown(page, `${name} |c − q|`), `${error.mean.toFixed(3)} (${error.sd.toFixed(3)}), median ${error.median.toFixed(3)}`);
     assert.equal(await shown(page, `${name} w`), `${width.mean.toFixed(2)} (${width.sd.toFixed(2)}), median ${width.median.toFixed(2)}`);
+    assert.equal(await shown(page, `${name} Within a = 0.5, 0.8, 1`), ['0.5', '0.8', '1'].map((a) => estimation.properties[name].coverage[a].toFixed(2)).join(', '));
   }
   assert.match(await text(page, '#table-1'), /0\.061 \(0\.053\), median 0\.044/);
   assert.match(await text(page, '#estimation-table'), /n = 50 \(1 failed\), the paper n = 50/);
@@ -308,6 +309,9 @@ async function realPrediction() {
   await nextFrames(page);
   const row = await page.locator('#prediction-table tbody tr').first().evaluate((tr) => [...tr.cells].map((cell) => cell.textContent));
   assert.deepEqual(row.slice(0, 4), ['from the start', String(prediction.settled.from_start.n), prediction.settled.from_start.mean_mm.toFixed(2), prediction.settled.from_start.median_mm.toFixed(2)]);
+  await page.locator('#prediction-numbers summary').click();
+  const steps = await page.locator('#prediction-numbers tbody tr').evaluateAll((all) => all.slice(0, 3).map((tr) => [...tr.cells].slice(1, 4).map((cell) => cell.textContent)));
+  assert.deepEqual(steps, prediction.by_step.slice(0, 3).map((one) => [String(one.steps), String(one.n), one.mean_mm.toFixed(2)]));
   const baselines = await page.locator('#prediction-table tbody tr').count();
   assert.equal(baselines, 3 + Object.keys(prediction.baselines).length);
   const dots = await page.locator('#prediction-steps svg [aria-label="dot"] circle').count();
