@@ -12,6 +12,7 @@
 #include "simulator/cloth/cloth.cpp"
 #include "simulator/cloth/contact.cpp"
 #include "simulator/cloth/elements.cpp"
+#include "simulator/cloth/mass_scaling.cpp"
 #include "simulator/cloth/stability.cpp"
 #include "simulator/cloth/topology.cpp"
 #include "unit/test_support.hpp"
@@ -249,6 +250,156 @@ TEST(ClothStability, StepIsJustBelowTheLimitOfASingleSpring) {
 
 // ---------------------------------------------------------------------------------------------------------------------
 
+/// A shaken sheet of 5 mm edges whose inertia is scaled from `length` on, with some of its components held.
+struct Scaled {
+  explicit Scaled(double length, double held = 0.0)
+      : garment(sheet(24, 24, 0.005, 0.6)),
+        topology(garment),
+        elements(topology, fabric()),
+        masses(topology.vertex_area),
+        free(masses.size()) {
+    for (double& mass : masses) mass *= fabric().density_kg_per_m2;
+    scaling = std::make_unique<MassScaling>(topology, elements.stiffest_membrane(), fabric().density_kg_per_m2, masses,
+                                            length);
+    RandomStream random(11, 2);
+    for (std::size_t i = 0; i < masses.size(); ++i) {
+      const auto w = static_cast<float>(1.0 / masses[i]);
+      const auto one = [&] { return random.uniform() < held ? 0.0f : w; };
+      free[i] = {one(), one(), one(), 0.0f};
+    }
+  }
+  /// p(W L) W f.
+  std::vector<Float4> operator()(const std::vector<Float4>& f) const {
+    std::vector<Float4> a(f.size());
+    for (std::size_t i = 0; i < f.size(); ++i) a[i] = {f[i].x * free[i].x, f[i].y * free[i].y, f[i].z * free[i].z, 0};
+    const Float4* out = scaling->apply(a.data(), free.data());
+    return {out, out + f.size()};
+  }
+  /// Largest eigenvalue of p(W L) W K by power iteration: membrane along x and y, bending along z.
+  std::array<double, 2> largest() const {
+    const std::size_t n = masses.size();
+    RandomStream random(5, 1);
+    std::vector<Float4> u(n), k(n);
+    for (Float4& value : u)
+      value = {static_cast<float>(random.uniform() - 0.5), static_cast<float>(random.uniform() - 0.5),
+               static_cast<float>(random.uniform() - 0.5), 0.0f};
+    std::vector<std::array<double, 2>> plane(n), plane_out(n);
+    std::vector<double> w(n), w_out(n);
+    std::array<double, 2> growth{};
+    for (int iteration = 0; iteration < 150; ++iteration) {
+      for (std::size_t i = 0; i < n; ++i) plane[i] = {u[i].x, u[i].y}, w[i] = u[i].z;
+      elements.membrane_stiffness(plane, plane_out);
+      elements.bending_stiffness(w, w_out);
+      double before[2] = {}, after[2] = {};
+      for (std::size_t i = 0; i < n; ++i)
+        k[i] = {static_cast<float>(plane_out[i][0]), static_cast<float>(plane_out[i][1]), static_cast<float>(w_out[i]),
+                0.0f};
+      const std::vector<Float4> next = (*this)(k);
+      for (std::size_t i = 0; i < n; ++i) {
+        before[0] += masses[i] * (u[i].x * u[i].x + u[i].y * u[i].y), before[1] += masses[i] * u[i].z * u[i].z;
+        after[0] += masses[i] * (next[i].x * next[i].x + next[i].y * next[i].y);
+        after[1] += masses[i] * next[i].z * next[i].z;
+      }
+      for (int part = 0; part < 2; ++part) growth[part] = std::sqrt(after[part] / before[part]);
+      for (std::size_t i = 0; i < n; ++i)
+        u[i] = {next[i].x / static_cast<float>(growth[0]), next[i].y / static_cast<float>(growth[0]),
+                next[i].z / static_cast<float>(growth[1]), 0.0f};
+    }
+    return growth;
+  }
+  Garment garment;
+  Topology topology;
+  Elements elements;
+  std::vector<double> masses;
+  std::vector<Float4> free;
+  std::unique_ptr<MassScaling> scaling;
+};
+std::vector<Float4> random_forces(std::size_t n, std::uint64_t seed) {
+  RandomStream random(seed, 3);
+  std::vector<Float4> f(n);
+  const auto one = [&] { return static_cast<float>(random.uniform() - 0.5); };
+  for (Float4& value : f) value = {one(), one(), one(), 0.0f};
+  return f;
+}
+double work(const std::vector<Float4>& f, const std::vector<Float4>& u) {
+  double sum = 0.0;
+  for (std::size_t i = 0; i < f.size(); ++i)
+    sum += static_cast<double>(f[i].x) * u[i].x + static_cast<double>(f[i].y) * u[i].y +
+           static_cast<double>(f[i].z) * u[i].z;
+  return sum;
+}
+
+TEST(ClothMassScaling, BoundOfTheEigenvaluesHoldsWhateverIsHeld) {
+  for (const double length : {0.003, 0.01, 0.03}) {
+    const Scaled free(length);
+    ASSERT_GT(free.scaling->stages(), 1);
+    const Spectrum spectrum = largest_frequencies(free.elements, free.masses, *free.scaling);
+    EXPECT_EQ(spectrum.membrane, free.scaling->largest());
+    for (const double held : {0.0, 0.02, 0.3}) {
+      const std::array<double, 2> largest = Scaled(length, held).largest();
+      EXPECT_LE(largest[0], spectrum.membrane) << "length " << length << ", held " << held;
+      EXPECT_LE(largest[1], spectrum.bending) << "length " << length << ", held " << held;
+    }
+    EXPECT_GT(free.largest()[0], 0.5 * spectrum.membrane) << "the bound is not loose";
+  }
+}
+
+TEST(ClothMassScaling, IsSymmetricPositiveAndKeepsMomentum) {
+  for (const double held : {0.0, 0.1}) {
+    const Scaled scaled(0.01, held);
+    const std::size_t n = scaled.masses.size();
+    const std::vector<Float4> f = random_forces(n, 1), g = random_forces(n, 2);
+    const std::vector<Float4> a = scaled(f), b = scaled(g);
+    EXPECT_NEAR(work(f, b), work(g, a), 1e-5 * std::sqrt(work(f, a) * work(g, b)));
+    EXPECT_GT(work(f, a), 0.0);
+    if (held > 0.0) continue;
+    double forced = 0.0, gained = 0.0;
+    for (std::size_t i = 0; i < n; ++i)
+      forced += static_cast<double>(f[i].x), gained += scaled.masses[i] * static_cast<double>(a[i].x);
+    EXPECT_NEAR(gained, forced, 1e-4 * std::sqrt(static_cast<double>(n)));
+  }
+}
+
+TEST(ClothMassScaling, LongWavesKeepTheirInertia) {
+  // A wave along the sheet with half its length as the wavelength: k = 2 pi / 57.5 mm. p = 1 - (k l)^2 / 3 and less.
+  const Scaled scaled(0.002);
+  std::vector<Float4> f(scaled.masses.size());
+  const double k = 2.0 * std::numbers::pi / 0.0575;
+  for (std::size_t i = 0; i < f.size(); ++i)
+    f[i].z = static_cast<float>(scaled.masses[i] * std::cos(k * scaled.topology.rest[i][0]));
+  const std::vector<Float4> a = scaled(f);
+  double sum = 0.0, all = 0.0;
+  for (std::size_t i = 0; i < f.size(); ++i)
+    sum += f[i].z * static_cast<double>(a[i].z), all += f[i].z * std::cos(k * scaled.topology.rest[i][0]);
+  const double kl2 = std::pow(0.002 * k, 2);
+  EXPECT_LT(sum / all, 1.0);
+  EXPECT_NEAR(sum / all, 1.0 - kl2 / 3.0, 0.5 * kl2);
+}
+
+TEST(Cloth, ScaledInertiaTakesFewerSubstepsAndHangsTheSame) {
+  const auto garment = std::make_shared<const Garment>(sheet(30, 12, 0.006, 0.5));
+  Scene scene;
+  scene.ground_height.reset();
+  scene.pins = {0, 348};
+  Positions shapes[2];
+  Index substeps[2];
+  for (int scaled = 0; scaled < 2; ++scaled) {
+    Params p;
+    p.settle_damping_per_s = 20.0;
+    p.inertia_length_m = scaled ? 0.012 : 0.0;
+    Cloth cloth(p);
+    cloth.reset(garment, fabric(), scene);
+    cloth.settle({.speed = 1e-4, .hold_frames = 30, .max_frames = 400});
+    shapes[scaled] = cloth.positions();
+    substeps[scaled] = cloth.last_substeps();
+  }
+  EXPECT_LT(3 * substeps[1], substeps[0]);
+  EXPECT_LT((shapes[0] - shapes[1]).rowwise().norm().maxCoeff(), 5e-5);
+  EXPECT_GT((shapes[0] - garment->positions).rowwise().norm().maxCoeff(), 0.05) << "it did hang";
+}
+
+// ---------------------------------------------------------------------------------------------------------------------
+
 struct Fold {
   explicit Fold(std::shared_ptr<const Garment> g, const Fabric& f, Params p = {}) : garment(std::move(g)), cloth(p) {
     cloth.reset(garment, f, Scene());
@@ -450,14 +601,16 @@ TEST(Cloth, BendingDampingTakesVibrationAndLeavesTheTurning) {
     return sum.y();
   };
   double vibration[2];
-  for (const double damping : {0.0, 0.02}) {
+  for (const auto& [damping, inertia_length] : {std::pair(0.0, 0.0), std::pair(0.02, 0.01), std::pair(0.02, 0.0)}) {
     f.damping_bend_s = damping;
-    Cloth cloth{Params{}};
+    Params params;
+    params.inertia_length_m = inertia_length;
+    Cloth cloth{params};
     cloth.reset(std::make_shared<const Garment>(garment), f, scene);
     cloth.set_state(x, v, {});
     const double start = angular(cloth);
     for (int k = 0; k < 60; ++k) cloth.step(kNothing);
-    EXPECT_NEAR(angular(cloth) / start, 1.0, 0.01) << "damping " << damping;
+    EXPECT_NEAR(angular(cloth) / start, 1.0, 0.01) << "damping " << damping << ", inertia length " << inertia_length;
     double kinetic = 0.0;
     for (Index i = 0; i < x.rows(); ++i) kinetic += 0.5 * mass[i] * cloth.velocities().row(i).squaredNorm();
     vibration[damping > 0.0] = kinetic;

@@ -8,16 +8,14 @@
 namespace weft {
 namespace {
 
-struct Physics : testing::TestWithParam<std::string> {};
-
-TEST_P(Physics, IsWithinItsBounds) {
+/// @param with parameters of the simulator, besides what the configuration has.
+void check(const std::string& which, const ConfigNode& with) {
   const auto registry =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
   const auto host = make_host(registry, HostOptions{1, 0, nullptr, nullptr});
   const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/experiments/physics.yaml");
   std::shared_ptr<const Task> task;
-  if (GetParam() == "garment crease" || GetParam() == "folds" || GetParam() == "paired folds" ||
-      GetParam() == "properties") {
+  if (which == "garment crease" || which == "folds" || which == "paired folds" || which == "properties") {
     TaskParams params;
     read_params(ConfigNode::mapping({{"garment", config.at("garment")},
                                      {"material", config.at("material")},
@@ -29,11 +27,12 @@ TEST_P(Physics, IsWithinItsBounds) {
   }
   PhysicsParams params;
   read_params(config.at("physics"), params);
-  params.tests = {GetParam()};
+  params.tests = {which};
   params.folds.count = 6;   // `weft evaluate physics` runs 200
   params.folds.paired = 1;  // with its finer self
   const auto variant = [&](const char* name, const char* key) {
-    return SimulatorVariant{name, [&host, slot = config.at(key)] { return host->create<Simulator>(slot); }};
+    return SimulatorVariant{name,
+                            [&host, slot = config.at(key).merged(with)] { return host->create<Simulator>(slot); }};
   };
   const std::vector<SimulatorVariant> variants{variant("default", "simulator"), variant("finer", "finer")};
   const auto cases = physics_cases(params, task);
@@ -43,6 +42,14 @@ TEST_P(Physics, IsWithinItsBounds) {
       std::puts(format_physics_row(row).c_str());
       EXPECT_TRUE(row.passed) << format_physics_row(row);
     }
+}
+
+struct Physics : testing::TestWithParam<std::string> {};
+TEST_P(Physics, IsWithinItsBounds) { check(GetParam(), ConfigNode::parse("{}", "test")); }
+
+struct ScaledPhysics : testing::TestWithParam<std::string> {};
+TEST_P(ScaledPhysics, IsWithinTheSameBounds) {
+  check(GetParam(), ConfigNode::parse("{params: {inertia_length_m: 0.01}}", "test"));
 }
 
 // A towel of 0.3 mm falls on its hem at 4 m/s and crumples: ground friction and fast contact between layers at once.
@@ -56,11 +63,17 @@ TEST(Drape, TowelThatCrumplesOnTheGroundNeverPassesThroughItself) {
   });
 }
 
-INSTANTIATE_TEST_SUITE_P(Suite, Physics, testing::ValuesIn(physics_test_names()), [](const auto& which) {
+const auto name_of = [](const testing::TestParamInfo<std::string>& which) {
   std::string name = which.param;
   std::replace(name.begin(), name.end(), ' ', '_');
   return name;
-});
+};
+INSTANTIATE_TEST_SUITE_P(Suite, Physics, testing::ValuesIn(physics_test_names()), name_of);
+// What inertia is in, and what it must not touch.
+INSTANTIATE_TEST_SUITE_P(Suite, ScaledPhysics,
+                         testing::Values("incline", "cloth on cloth", "garment crease", "folds", "rest", "momentum",
+                                         "energy"),
+                         name_of);
 
 }  // namespace
 }  // namespace weft

@@ -6,6 +6,7 @@
 
 #include "contact.hpp"
 #include "elements.hpp"
+#include "mass_scaling.hpp"
 #include "params.hpp"
 #include "stability.hpp"
 #include "weft/simulator.hpp"
@@ -61,6 +62,9 @@ class Cloth final : public Simulator {
   void hold(std::int32_t vertex);
   void advance(const Double4* targets, double extra_drag);
   double substep(double dt, double drag, const float* bound, const Double4* start, const Double4* targets, double part);
+  void accelerate(double dt, double drag);
+  void accelerate_scaled(double dt, double drag);
+  void rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, Float4& free) const;
   void refresh_derived();
   void publish();
   void update_grasp_strain();
@@ -73,6 +77,7 @@ class Cloth final : public Simulator {
   std::unique_ptr<Topology> topology_;
   std::unique_ptr<Elements> elements_;
   std::unique_ptr<SelfContact> contact_;
+  std::unique_ptr<MassScaling> scaling_;
   std::vector<double> masses_;  ///< kg, lumped: a third of the faces around
   std::vector<std::uint8_t> pinned_;
   Spectrum spectrum_;
@@ -84,7 +89,7 @@ class Cloth final : public Simulator {
   Positions positions_, velocities_;
   Index last_substeps_ = 0;
   // Scratch of the frame loop.
-  std::vector<Float4> forces_;
+  std::vector<Float4> forces_, free_;
   std::vector<float> reach_, bound_;
   std::vector<Double4> start_, target_;
 };

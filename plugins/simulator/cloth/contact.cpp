@@ -339,9 +339,9 @@ bool SelfContact::nearly_convex(const std::vector<std::int32_t>& faces) const {
   return reached == faces.size();
 }
 
-double SelfContact::longest_step(double g) const {
+double SelfContact::longest_step(double g, double part) const {
   // k depth = m g with k = kSpring m / (2 kLeastLoad dt^2).
-  return std::sqrt(0.08 * thickness_ * kSpring / (2.0 * kLeastLoad * std::max(g, 1e-9)));
+  return std::sqrt(part * thickness_ * kSpring / (2.0 * kLeastLoad * std::max(g, 1e-9)));
 }
 
 void SelfContact::clear(State& state) const {

@@ -92,8 +92,8 @@ class SelfContact {
   /// the step x += dt v, in which no vertex goes below floor (m).
   void stop(const Double4* x, double dt, double floor, double ground_friction, const float* inverse_mass,
             Double4* v) const;
-  /// Longest substep (s) at which a layer under acceleration g (m/s^2) sinks in by at most 8 % of the thickness.
-  double longest_step(double g) const;
+  /// Longest substep (s) at which a layer under acceleration g (m/s^2) sinks in by at most this part of the thickness.
+  double longest_step(double g, double part) const;
   /// Empty, with room for a fully folded cloth, so that the frame loop does not allocate.
   void clear(State& state) const;
 

@@ -8,6 +8,7 @@ struct Params {
   std::int64_t max_substeps = 4000;
   double step_safety = 0.75;
   double damping_least_step = 0.75;
+  double inertia_length_m = 0.0;
   double settle_damping_per_s = 6.0;
   double grasp_strain_warning = 0.15;
   bool self_contact = true;
@@ -23,6 +24,9 @@ struct Params {
     v("damping_least_step", damping_least_step, range(0.0, 0.95),
       "Stiffness-proportional damping may shorten the substep to this part of the undamped one; what would shorten it "
       "more is damped less. 0: damping as the fabric has it, whatever it takes.");
+    v("inertia_length_m", inertia_length_m, range(0.0, 0.1, "m"),
+      "Waves shorter than about four times this length get more inertia, so that no finer mesh takes more substeps "
+      "(selective mass scaling). What is at rest does not depend on it. 0: inertia as the cloth has it.");
     v("settle_damping_per_s", settle_damping_per_s, range(0.0, 100.0, "1/s"),
       "Air drag added during settle() only, so that a dropped sheet comes to rest in about a second.");
     v("grasp_strain_warning", grasp_strain_warning, range(0.0, 10.0),

@@ -19,46 +19,67 @@ double start_value(std::size_t i) {
 
 }  // namespace
 
-Spectrum largest_frequencies(const Elements& elements, const std::vector<double>& masses) {
+double largest_eigenvalue(const std::vector<double>& masses,
+                          const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness,
+                          const MassScaling* scaling) {
   const std::size_t n = masses.size();
+  std::vector<double> w(n), k(n);
+  std::vector<Float4> a(scaling ? n : 0), inverse_mass(scaling ? n : 0);
+  for (std::size_t i = 0; i < n; ++i) w[i] = start_value(i);
+  for (std::size_t i = 0; i < inverse_mass.size(); ++i) inverse_mass[i].x = static_cast<float>(1.0 / masses[i]);
+  double quotient = 0.0;
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    double norm = 0.0;
+    for (std::size_t i = 0; i < n; ++i) norm += masses[i] * w[i] * w[i];
+    norm = std::sqrt(norm);
+    if (norm <= 0.0) break;
+    for (double& value : w) value /= norm;
+    stiffness(w, k);
+    double energy = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+      energy += w[i] * k[i];
+      w[i] = k[i] / masses[i];
+    }
+    quotient = energy;
+    if (!scaling || energy <= 0.0) continue;
+    // p(M^-1 L) M^-1 K is symmetric in the inner product of K.
+    for (std::size_t i = 0; i < n; ++i) a[i].x = static_cast<float>(w[i]);
+    const Float4* scaled = scaling->apply(a.data(), inverse_mass.data());
+    quotient = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+      w[i] = static_cast<double>(scaled[i].x);
+      quotient += k[i] * w[i] / energy;
+    }
+  }
+  return kMargin * quotient;
+}
+
+Spectrum largest_frequencies(const Elements& elements, const std::vector<double>& masses, const MassScaling& scaling) {
   Spectrum result;
-  {
-    std::vector<std::array<double, 2>> u(n), k(n);
-    for (std::size_t i = 0; i < n; ++i) u[i] = {start_value(2 * i), start_value(2 * i + 1)};
-    for (int iteration = 0; iteration < kIterations; ++iteration) {
-      double norm = 0.0;
-      for (std::size_t i = 0; i < n; ++i) norm += masses[i] * (u[i][0] * u[i][0] + u[i][1] * u[i][1]);
-      norm = std::sqrt(norm);
-      for (auto& value : u) value = {value[0] / norm, value[1] / norm};
-      elements.membrane_stiffness(u, k);
-      double quotient = 0.0;
-      for (std::size_t i = 0; i < n; ++i) {
-        quotient += u[i][0] * k[i][0] + u[i][1] * k[i][1];
-        u[i] = {k[i][0] / masses[i], k[i][1] / masses[i]};
-      }
-      result.membrane = quotient;
-    }
+  const bool scaled = scaling.stages() > 1;
+  result.bending = largest_eigenvalue(
+      masses, [&](const std::vector<double>& w, std::vector<double>& out) { elements.bending_stiffness(w, out); },
+      scaled ? &scaling : nullptr);
+  if (scaled) {
+    result.membrane = scaling.largest();
+    return result;
   }
-  {
-    std::vector<double> w(n), k(n);
-    for (std::size_t i = 0; i < n; ++i) w[i] = start_value(i);
-    for (int iteration = 0; iteration < kIterations; ++iteration) {
-      double norm = 0.0;
-      for (std::size_t i = 0; i < n; ++i) norm += masses[i] * w[i] * w[i];
-      norm = std::sqrt(norm);
-      if (norm <= 0.0) break;
-      for (double& value : w) value /= norm;
-      elements.bending_stiffness(w, k);
-      double quotient = 0.0;
-      for (std::size_t i = 0; i < n; ++i) {
-        quotient += w[i] * k[i];
-        w[i] = k[i] / masses[i];
-      }
-      result.bending = quotient;
+  const std::size_t n = masses.size();
+  std::vector<std::array<double, 2>> u(n), k(n);
+  for (std::size_t i = 0; i < n; ++i) u[i] = {start_value(2 * i), start_value(2 * i + 1)};
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    double norm = 0.0;
+    for (std::size_t i = 0; i < n; ++i) norm += masses[i] * (u[i][0] * u[i][0] + u[i][1] * u[i][1]);
+    norm = std::sqrt(norm);
+    for (auto& value : u) value = {value[0] / norm, value[1] / norm};
+    elements.membrane_stiffness(u, k);
+    double quotient = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+      quotient += u[i][0] * k[i][0] + u[i][1] * k[i][1];
+      u[i] = {k[i][0] / masses[i], k[i][1] / masses[i]};
     }
+    result.membrane = kMargin * quotient;
   }
-  result.membrane *= kMargin;
-  result.bending *= kMargin;
   return result;
 }
 

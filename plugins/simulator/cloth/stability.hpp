@@ -1,16 +1,24 @@
 #pragma once
+#include <functional>
 #include <vector>
 
-#include "elements.hpp"
+#include "mass_scaling.hpp"
 
 namespace weft::cloth {
 
-/// Largest eigenvalues of M^-1 K at the flat rest shape, 1/s^2, by power iteration (5 % added for what it misses).
+/// Largest eigenvalue of M^-1 K, or of p(M^-1 L) M^-1 K with `scaling`, by power iteration; 5 % added for what it
+/// misses.
+/// @param stiffness writes K x to its second argument.
+double largest_eigenvalue(const std::vector<double>& masses,
+                          const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness,
+                          const MassScaling* scaling = nullptr);
+
+/// Largest eigenvalues of M^-1 K at the flat rest shape, 1/s^2, after scaling of the masses.
 struct Spectrum {
   double membrane = 0.0;
   double bending = 0.0;
 };
-Spectrum largest_frequencies(const Elements& elements, const std::vector<double>& masses);
+Spectrum largest_frequencies(const Elements& elements, const std::vector<double>& masses, const MassScaling& scaling);
 
 /// Longest stable substep of the symplectic step v += dt a(x, v), x += dt v, as a part `safety` of the limit:
 ///     dt^2/4 sum_k lambda_k (1 + 2 beta_k / dt) <= safety^2

@@ -1,0 +1,44 @@
+#pragma once
+#include <vector>
+
+#include "elements.hpp"
+
+namespace weft::cloth {
+
+/// Selective mass scaling: waves that are short against a length get more inertia, and no substep need resolve them.
+///     a = p(W L) W f,   W = 1/m where a component may move, else 0
+/// L is the scalar stiffness, the same for x, y and z, of a membrane that is nowhere softer than the cloth's. L of a
+/// constant is 0 and p(0) = 1: free fall and momentum stay exact. p > 0: equilibrium, f = 0, stays what it is. The mass
+/// matrix behind it is constant and does not know directions, so an angular momentum is conserved, that of M + O(l^2).
+/// [Selective mass scaling: Olovsson, Simonsson and Unosson 2005, there with (M + s K)^-1 in the place of p(W L) W.]
+///
+/// p is what s stages of a damped Runge-Kutta-Chebyshev step of dy/dt = a - W L y leave of a, per time, in s - 1
+/// products with L [Verwer, Hundsdorfer and Sommeijer 1990]:
+///     p(lambda) = (1 - T_s(w0 - w1 lambda) / T_s(w0)) / (tau lambda),   largest lambda p(lambda) ~ 1 / s^2
+/// Since K <= L, no eigenvalue of p(W L) W K is above it, whichever vertices are held.
+class MassScaling {
+ public:
+  /// @param length m: eigenvalues are at most (c / length)^2, c the larger wave speed of L, m/s; 0: no scaling.
+  MassScaling(const Topology& topology, const MembraneModuli& moduli, double density, const std::vector<double>& masses,
+              double length);
+  /// 1: nothing is scaled.
+  int stages() const { return stages_; }
+  /// Bound of the eigenvalues of p(W L) W K, K the membrane's stiffness, 1/s^2. Only where stages() > 1.
+  double largest() const { return largest_; }
+  /// @param a [V] W f. @param w [V] W, per component. @return [V] p(W L) a, valid until the next call.
+  const Float4* apply(const Float4* a, const Float4* w) const;
+
+ private:
+  int stages_ = 1;
+  double largest_ = 0.0;
+  /// y_{j+1} = now y_j + last y_{j-1} + gain a - slope W L y_j; y_0 = 0.
+  struct Stage {
+    float now, last, gain, slope;
+  };
+  std::vector<Stage> stage_;
+  std::vector<std::int32_t> start_, column_;  ///< L by rows
+  std::vector<float> value_;                  ///< N/m
+  mutable std::vector<Float4> now_, last_;
+};
+
+}  // namespace weft::cloth
