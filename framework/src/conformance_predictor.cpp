@@ -446,6 +446,31 @@ Outcome batch_equals_singles(const Bench& bench) {
   return {wrong, ""};
 }
 
+Outcome a_case_does_not_see_the_other_rows(const Bench& bench) {
+  const Fold fold(bench);
+  const auto cases = fold.cases();
+  const auto weights = smooth_cotangents(fold, cases);
+  const bool gradients = fold.capabilities.gradients;
+  const auto batch = fold.predict(cases, gradients);
+  std::vector<CaseGradient> together;
+  if (gradients) together = pull(*batch, cases, weights);
+  double wrong = 0.0;
+  for (std::size_t i = 0; i < cases.size(); ++i) {
+    // In the other rows: another length, and the padding of a search.
+    std::vector<PredictionCase> changed(cases.size(), cases[i]);
+    for (std::size_t j = 0; j < cases.size(); ++j)
+      if (j != i) changed[j].segments.clear();
+    changed[(i + 1) % cases.size()] = fold.ask(1, {1}, 70 + i);
+    const auto other = fold.predict(changed, gradients);
+    wrong += differing_case(*batch, i, *other, i);
+    if (!gradients) continue;
+    auto cotangents = smooth_cotangents(fold, changed);
+    cotangents[i] = weights[i];
+    wrong += differing_gradient(together[i], pull(*other, changed, cotangents).at(i));
+  }
+  return {wrong, ""};
+}
+
 Outcome same_input_same_bits(const Bench& bench) {
   const Fold fold(bench), other(bench);
   if (!fold.capabilities.deterministic) return undeclared_without_call();
@@ -684,6 +709,10 @@ const std::vector<Law>& predictor_laws() {
       {"batch_equals_singles",
        "deterministic: shapes and gradients of a case do not depend on its batch (numbers that differ).", 0,
        batch_equals_singles},
+      {"a_case_does_not_see_the_other_rows",
+       "Shapes and gradients of a case depend on its row and the number of rows at most, not on what the others hold "
+       "(numbers that differ).",
+       0, a_case_does_not_see_the_other_rows},
       {"same_input_same_bits", "deterministic: same input, same bits, also from a second object (numbers that differ).",
        0, same_input_same_bits},
       {"predictions_live_side_by_side", "A prediction does not change while others are made (numbers that differ).", 0,

@@ -6,6 +6,7 @@
 #include <limits>
 #include <numbers>
 
+#include "weft/instance_rows.hpp"
 #include "weft/jvp.hpp"
 
 namespace weft {
@@ -108,10 +109,11 @@ class EstimationObjective final : public Objective {
     std::vector<PredictionCase> cases;
     for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
     const bool has_jvp = wanted.jacobians && predictor_.capabilities().jvp;
-    const auto prediction = predictor_.predict(cases, {.moments = Moments::mean_and_sigma,
-                                                       .gradients = wanted.gradients || has_jvp,
-                                                       .control_gradients = false,
-                                                       .knowledge_gradients = true});
+    const auto prediction = predict_in_rows(predictor_, cases, instances, params_.instances,
+                                            {.moments = Moments::mean_and_sigma,
+                                             .gradients = wanted.gradients || has_jvp,
+                                             .control_gradients = false,
+                                             .knowledge_gradients = true});
     evaluations_ += n;
     Evaluation result;
     result.costs = Vector::Constant(n, std::numeric_limits<double>::infinity());

@@ -72,8 +72,12 @@ std::vector<std::vector<std::vector<ShapeCotangent>>> directional_derivatives(
   std::vector<std::size_t> wanted;
   for (std::size_t k = 0; k < sides.size(); ++k)
     if (sides[k].amount != 0.0) wanted.push_back(k);
-  for (std::size_t first = 0; first < wanted.size(); first += batch) {
-    const std::size_t last = std::min(first + batch, wanted.size());
+  // Where bits depend on the batch, every case has batches of its own.
+  const bool mixed = predictor.capabilities().deterministic;
+  for (std::size_t first = 0, last = 0; first < wanted.size(); first = last) {
+    while (last < wanted.size() && last - first < batch &&
+           (mixed || sides[wanted[last]].instance == sides[wanted[first]].instance))
+      ++last;
     std::vector<PredictionCase> perturbed;
     for (std::size_t k = first; k < last; ++k) {
       const Side& side = sides[wanted[k]];

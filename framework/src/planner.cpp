@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "weft/instance_rows.hpp"
 #include "weft/jvp.hpp"
 
 namespace weft {
@@ -82,10 +83,11 @@ class PlanningObjective final : public Objective {
     const Index n = x.cols();
     std::vector<PredictionCase> cases;
     for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
-    const auto prediction = predictor_.predict(cases, {.moments = moments_,
-                                                       .gradients = wanted.gradients || uses_jvp(wanted),
-                                                       .control_gradients = true,
-                                                       .knowledge_gradients = false});
+    const auto prediction = predict_in_rows(predictor_, cases, instances, params_.instances,
+                                            {.moments = moments_,
+                                             .gradients = wanted.gradients || uses_jvp(wanted),
+                                             .control_gradients = true,
+                                             .knowledge_gradients = false});
     evaluations_ += n;
 
     Evaluation result;

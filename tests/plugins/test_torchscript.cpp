@@ -8,8 +8,10 @@
 #include <fstream>
 
 #include "predictor/torchscript/torchscript.hpp"
+#include "unit/descent.hpp"
 #include "unit/test_support.hpp"
 #include "weft/conformance.hpp"
+#include "weft/planner.hpp"
 #include "weft/task.hpp"
 
 namespace weft::torchscript {
@@ -36,9 +38,25 @@ def forward(self, shape, states, controls, knowledge):
     return mean, wide * (1.0 + torch.square(mean))
 )";
 
+/// Two layers over what the controls add up to: products of matrices whose size follows the batch.
+const std::string kNetwork = R"(
+def forward(self, shape, states, controls, knowledge):
+    b, k, v = shape.size(0), controls.size(1), shape.size(1)
+    known = knowledge.unsqueeze(1).expand(b, k, 8)
+    inputs = torch.cat([0.1 * torch.cumsum(controls, 1), 0.01 * states[:, 1:], known], 2)
+    hidden = torch.tanh(torch.matmul(inputs, self.encode))
+    mean = shape.unsqueeze(1) + 0.02 * torch.matmul(hidden, self.decode)[:, :, :3 * v].view(b, k, v, 3)
+    return mean, 0.001 + torch.square(mean)
+)";
+
 void save_module(const std::filesystem::path& file, const std::string& source) {
   torch::jit::Module module("predictor");
   module.register_parameter("gain", at::full({1}, 0.7f), false);
+  const auto weights = [](std::int64_t rows, std::int64_t columns) {
+    return at::sin(at::arange(rows * columns).to(at::kFloat) * 1.7f).reshape({rows, columns}).contiguous();
+  };
+  module.register_parameter("encode", weights(18, 96), false);
+  module.register_parameter("decode", weights(96, 300), false);
   module.define(source);
   module.save(file.string());
 }
@@ -127,6 +145,39 @@ TEST_F(TorchScript, ObeysTheLawsOfPredictors) {
       EXPECT_TRUE(law.passed) << law.law << ": " << law.measured << " > " << law.bound << " " << law.detail;
     }
   }
+}
+
+TEST_F(TorchScript, ANetworksCaseDoesNotSeeTheOtherRows) {
+  save_module(folder_ / "m.pt", kNetwork);
+  write_metadata();
+  const auto settings =
+      ConfigNode::parse("params: {module: '" + (folder_ / "m.pt").string() + "'}\ntask: {" + kTask + "}", "test");
+  for (const auto& law : check_conformance(*host_, "predictor", ConfigNode::parse("torchscript", "test"), settings,
+                                           {"a_case_does_not_see_the_other_rows"}))
+    EXPECT_TRUE(law.passed) << law.law << ": " << law.measured << " numbers differ";
+}
+
+TEST_F(TorchScript, APlanIsTheSameBitsWhicheverInstancesStillRun) {
+  save_module(folder_ / "m.pt", kNetwork);
+  write_metadata();
+  PlannerParams params;
+  params.instances = 5;
+  params.horizon = 4;
+  params.iterations = 8;
+  PlanRequest request;
+  request.shape = std::make_shared<const Positions>(task_.garment->positions);
+  Positions goal = task_.garment->positions;
+  goal.col(2).array() += 0.01;
+  request.goal = std::make_shared<const Positions>(goal);
+  request.state = task_.trajectory->initial_state(task_.manipulation);
+  const std::shared_ptr<const Predictor> predictor = bound();
+  const auto plan = [&](std::shared_ptr<const Optimiser> by) {
+    return Planner(task_, predictor, std::move(by), params, *host_).plan(request);
+  };
+  const auto descent = std::make_shared<const test::Descent>();
+  const Plan together = plan(descent), alone = plan(std::make_shared<test::OneByOne>(descent, true));
+  EXPECT_EQ(together.losses, alone.losses);
+  EXPECT_EQ(together.controls, alone.controls);
 }
 
 TEST_F(TorchScript, RefusesAWrongSignatureNamingBothSides) {

@@ -5,9 +5,9 @@
 #include <atomic>
 #include <thread>
 
+#include "unit/descent.hpp"
 #include "unit/test_support.hpp"
 #include "unit/toy_trajectory.hpp"
-#include "weft/batching.hpp"
 #include "weft/planner.hpp"
 #include "weft/registry.hpp"
 
@@ -17,7 +17,7 @@ namespace {
 /// Two vertices that follow the hands up by the sine of what the controls add up to.
 class LiftPrediction final : public Prediction {
  public:
-  LiftPrediction(Host& host, const std::vector<PredictionCase>& cases, double broken_above)
+  LiftPrediction(Host& host, const std::vector<PredictionCase>& cases, double broken_above, bool rows_matter)
       : host_(host), cases_(cases), shapes_(cases.size()), failures_(cases.size()) {
     host.parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {
       const auto at = static_cast<std::size_t>(i);
@@ -28,6 +28,8 @@ class LiftPrediction final : public Prediction {
       for (const Index j : cases[at].segments) {
         Positions mean = *cases[at].shape;
         for (Index k = 0; k < j; ++k) mean.col(2).array() += height(cases[at].controls(k, 0), k);
+        if (rows_matter)
+          mean.col(2).array() += 1e-6 * static_cast<double>(at) + 1e-5 * static_cast<double>(cases.size());
         shapes_[at].push_back({mean, Positions::Constant(2, 3, 1e-3)});
       }
     });
@@ -62,60 +64,22 @@ class LiftPredictor final : public Predictor {
  public:
   explicit LiftPredictor(Host& host) : host_(host) {}
   double broken_above = 1e9;
+  bool rows_matter = false;
   int throws_at = -1;
   mutable std::atomic<int> batches{0};
-  mutable std::atomic<std::size_t> largest{0};
-  PredictorCapabilities capabilities() const override { return {.gradients = true}; }
+  mutable std::atomic<std::size_t> largest{0}, smallest{99};
+  PredictorCapabilities capabilities() const override { return {.gradients = true, .deterministic = !rows_matter}; }
   void bind(const Task&) override {}
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest&) const override {
     if (batches++ == throws_at) throw Diverged("lift: frame 3");
     largest = std::max<std::size_t>(largest, cases.size());
-    return std::make_unique<LiftPrediction>(host_, cases, broken_above);
+    if (cases.size() > 1) smallest = std::min<std::size_t>(smallest, cases.size());  // 1: of the plan that was chosen
+    return std::make_unique<LiftPrediction>(host_, cases, broken_above, rows_matter);
   }
 
  private:
   Host& host_;
-};
-
-/// Gradient descent by trial and error, whose instances take different numbers of evaluations; together or one by one.
-class Descent final : public Optimiser {
- public:
-  bool together = true;
-  Index throwing_instance = -1;
-  OptimiserCapabilities capabilities() const override { return {.needs_gradients = true}; }
-  std::vector<OptimiserResult> minimise(Objective& objective, ConstMatrix starts, const Box& bounds, ConstVec scale,
-                                        const OptimiserOptions& options,
-                                        const OptimiserObserver& observer) const override {
-    const PointwiseSolver solver = [&](PointwiseSearch& search, const Vector& start) -> SolverOutcome {
-      Vector x = start;
-      double step = 1e-6;
-      const PointValue* value = search.evaluate(x, {.gradients = true});
-      for (Index k = 0; value && k < options.max_iterations; ++k) {
-        if (k == 2 && search.instance() == throwing_instance) throw Unsupported("descent: instance gives up");
-        const double cost = value->cost;
-        const Vector gradient = value->gradient;
-        for (;;) {
-          const PointValue* there = search.evaluate(x - step * gradient, {});
-          if (!there) return {};
-          if (there->cost < cost) break;
-          step *= 0.5;
-          if (step < 1e-14) return {OptimiserStatus::converged, "no step is short enough"};
-        }
-        x = search.best_x();
-        step *= 1.5;
-        search.count_iteration();
-        value = search.evaluate(x, {.gradients = true});
-      }
-      return {OptimiserStatus::budget_spent, ""};
-    };
-    if (together) return minimise_pointwise("descent", objective, starts, bounds, scale, options, observer, solver);
-    std::vector<OptimiserResult> results;
-    for (Index i = 0; i < starts.cols(); ++i)
-      results.push_back(
-          minimise_pointwise("descent", objective, starts.col(i), bounds, scale, options, nullptr, solver)[0]);
-    return results;
-  }
 };
 
 struct Lift : testing::Test {
@@ -123,7 +87,7 @@ struct Lift : testing::Test {
   std::unique_ptr<Host> host =
       make_host(std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{folder.path()}), {.threads = 3});
   std::shared_ptr<LiftPredictor> predictor = std::make_shared<LiftPredictor>(*host);
-  std::shared_ptr<Descent> optimiser = std::make_shared<Descent>();
+  std::shared_ptr<test::Descent> optimiser = std::make_shared<test::Descent>();
   PlannerParams params;
   Task task;
   PlanRequest request;
@@ -145,20 +109,40 @@ struct Lift : testing::Test {
     request.state = Vector::Zero(1);
     request.seed = 5;
   }
-  Plan plan() { return Planner(task, predictor, optimiser, params, *host).plan(request); }
+  Plan plan() { return plan(optimiser); }
+  Plan plan(std::shared_ptr<const Optimiser> by) {
+    return Planner(task, predictor, std::move(by), params, *host).plan(request);
+  }
+  Plan plan_one_by_one(bool numbered = true) { return plan(std::make_shared<test::OneByOne>(optimiser, numbered)); }
 };
 
 TEST_F(Lift, AllInstancesMeetInOneBatchAndEndAsEachAlone) {
   const Plan together = plan();
   EXPECT_EQ(predictor->largest, 7u);
   const int batches = predictor->batches;
-  optimiser->together = false;
   predictor->batches = 0;
-  const Plan alone = plan();
+  const Plan alone = plan_one_by_one();
   EXPECT_EQ(together.losses, alone.losses);
   EXPECT_EQ(together.controls, alone.controls);
   EXPECT_EQ(together.evaluations, alone.evaluations);
   EXPECT_GT(predictor->batches, 3 * batches);
+}
+
+TEST_F(Lift, WhereBitsDependOnTheRowInstancesKeepTheirs) {
+  const Plan sound = plan();
+  EXPECT_LT(predictor->smallest, 7u);  // those that have ended are left out
+  predictor->smallest = 99;
+  predictor->rows_matter = true;
+  const Plan together = plan();
+  EXPECT_EQ(predictor->smallest, 7u);
+  EXPECT_EQ(predictor->largest, 7u);
+  const Plan alone = plan_one_by_one();
+  EXPECT_EQ(together.losses, alone.losses);
+  EXPECT_EQ(together.controls, alone.controls);
+  EXPECT_EQ(together.evaluations, alone.evaluations);  // padding is no evaluation
+  // It was worth it: other rows, other bits.
+  EXPECT_NE(together.losses, sound.losses);
+  EXPECT_NE(together.losses, plan_one_by_one(false).losses);
 }
 
 TEST_F(Lift, SameBitsFromRunToRun) {

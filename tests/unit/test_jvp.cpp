@@ -38,10 +38,10 @@ struct Formula final : Prediction {
 };
 
 struct FormulaPredictor final : Predictor {
-  bool has_jvp = false;
+  bool has_jvp = false, deterministic = true;
   double broken_above = 1e9;
   mutable std::vector<std::vector<PredictionCase>> batches;
-  PredictorCapabilities capabilities() const override { return {.jvp = has_jvp}; }
+  PredictorCapabilities capabilities() const override { return {.jvp = has_jvp, .deterministic = deterministic}; }
   void bind(const Task&) override {}
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest&) const override {
@@ -129,6 +129,20 @@ TEST_F(Jvp, BatchesAreLimited) {
   ASSERT_EQ(predictor.batches.size(), 3u);
   EXPECT_EQ(predictor.batches[2].size(), 2u);
   EXPECT_NEAR(d[0][3][1].mean(0, 0), 2 * 0.06 * 3.0, 1e-12);
+}
+
+TEST_F(Jvp, WhereBitsDependOnTheBatchEveryCaseHasItsOwn) {
+  const std::vector<PredictionCase> cases(3, start());
+  const std::vector<std::vector<CaseDirection>> directions = {{along(1, 0, 0)}, {}, {along(0, 1, 0), along(0, 0, 1)}};
+  const auto together = derive(cases, directions);
+  EXPECT_EQ(predictor.batches.size(), 1u);
+  predictor.batches.clear();
+  predictor.deterministic = false;
+  const auto apart = derive(cases, directions);
+  ASSERT_EQ(predictor.batches.size(), 2u);
+  EXPECT_EQ(predictor.batches[0].size(), 2u);
+  EXPECT_EQ(predictor.batches[1].size(), 4u);
+  EXPECT_EQ(apart[2][1][1].mean, together[2][1][1].mean);
 }
 
 TEST_F(Jvp, ASideThatFailsIsReplacedByTheCaseItself) {

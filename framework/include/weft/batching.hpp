@@ -52,9 +52,9 @@ using PointwiseSolver = std::function<SolverOutcome(PointwiseSearch& search, con
 /// calling thread only.
 ///
 /// Which points share a batch depends on the solvers' decisions and never on timing: the columns ascend by instance,
-/// and an instance that has ended is left out. So results are equal bit for bit from run to run, and, for an objective
-/// whose columns do not depend on one another (PredictorCapabilities::deterministic), equal to those of every instance
-/// alone.
+/// and an instance that has ended is left out. So results are equal bit for bit from run to run, and equal to those of
+/// every instance alone, as the objectives of planning and estimation keep the columns independent: where a predictor's
+/// bits depend on the row, they pad (predict_in_rows).
 ///
 /// Does for the solver: bounds (points are clamped), max_evaluations, the best point, the observer (after every batch),
 /// and exceptions: what the objective, the observer or a solver throws ends all instances and is rethrown here (of

@@ -64,9 +64,13 @@ Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>&
   return out;
 }
 
-/// Cases of one length in one pass.
+/// Cases of one length in one pass. Every case of the batch has its row there, whatever its length and whether it is
+/// wanted, so that the bits of a case depend on its row and the number of rows only: products of other sizes take other
+/// kernels. A case that runs alone has row 0.
 struct Group {
-  std::vector<std::size_t> cases;
+  std::vector<std::size_t> cases;  ///< that belong here; the other rows hold the first of them
+  std::size_t rows = 1;
+  std::size_t row(std::size_t i) const { return rows == 1 ? 0 : i; }
   std::vector<Tensor> inputs;
   Output output;
 };
@@ -82,9 +86,15 @@ class TorchPrediction final : public Prediction {
       start_.push_back(cases[i].state);
       has_previous_.push_back(cases[i].previous != nullptr);
       segments_.push_back(cases[i].segments);
-      if (!cases[i].segments.empty()) groups[{cases[i].segments.back(), batch ? 0 : i}].cases.push_back(i);
+      if (cases[i].segments.empty()) continue;
+      // Together, to the end of the controls: how far others are wanted must not change the pass.
+      if (batch)
+        groups[{cases[i].controls.rows(), 0}].cases.push_back(i);
+      else
+        groups[{cases[i].segments.back(), i}].cases.push_back(i);
     }
     for (auto& [key, group] : groups) {
+      if (batch) group.rows = cases.size();
       run(cases, group, key.first);
       groups_.push_back(std::move(group));
     }
@@ -121,7 +131,7 @@ class TorchPrediction final : public Prediction {
  private:
   void run(const std::vector<PredictionCase>& cases, Group& group, Index k) {
     const auto& task = bound_->task;
-    const auto b = static_cast<std::int64_t>(group.cases.size());
+    const auto b = static_cast<std::int64_t>(group.rows);
     const Index v = task.garment->vertex_count(), s = start_[group.cases[0]].size(),
                 c = controls_[group.cases[0]].cols();
     const at::NoGradGuard no_graph;
@@ -134,8 +144,10 @@ class TorchPrediction final : public Prediction {
       float* at = to.data_ptr<float>() + row * to[0].numel();
       std::transform(from, from + count, at, [](double x) { return static_cast<float>(x); });
     };
+    std::vector<std::size_t> held(group.rows, group.cases.front());
+    for (const std::size_t i : group.cases) held[group.row(i)] = i;
     for (std::int64_t r = 0; r < b; ++r) {
-      const auto& one = cases[group.cases[static_cast<std::size_t>(r)]];
+      const auto& one = cases[held[static_cast<std::size_t>(r)]];
       fill(shape, r, one.shape->data(), one.shape->size());
       fill(previous, r, (one.previous ? one.previous : one.shape)->data(), one.shape->size());
       const Controls used = one.controls.topRows(k);
@@ -158,8 +170,8 @@ class TorchPrediction final : public Prediction {
       group.output = call(*bound_, group.inputs);
     }
     const Tensor mean = group.output.mean.detach().contiguous(), sigma = group.output.sigma.detach().contiguous();
-    for (std::int64_t r = 0; r < b; ++r) {
-      const std::size_t i = group.cases[static_cast<std::size_t>(r)];
+    for (const std::size_t i : group.cases) {
+      const auto r = static_cast<Index>(group.row(i));
       for (const Index segment : segments_[i]) {
         const auto read = [&](const Tensor& t) {
           Positions p(v, 3);
@@ -187,11 +199,10 @@ class TorchPrediction final : public Prediction {
     const auto& trajectory = *task.trajectory;
     Tensor d_mean = at::zeros_like(group.output.mean.detach()), d_sigma = at::zeros_like(d_mean);
     const auto k = group.output.mean.size(1), size = d_mean.size(2) * 3;
-    for (std::size_t r = 0; r < group.cases.size(); ++r) {
-      const std::size_t i = group.cases[r];
+    for (const std::size_t i : group.cases) {
       if (!failures_[i].empty()) continue;
       for (std::size_t s = 0; s < segments_[i].size(); ++s) {
-        const auto at = (static_cast<std::int64_t>(r) * k + segments_[i][s] - 1) * size;
+        const auto at = (static_cast<std::int64_t>(group.row(i)) * k + segments_[i][s] - 1) * size;
         const auto write = [&](const Positions& from, Tensor& to) {
           std::transform(from.data(), from.data() + from.size(), to.data_ptr<float>() + at,
                          [](double x) { return static_cast<float>(x); });
@@ -217,8 +228,8 @@ class TorchPrediction final : public Prediction {
       const Tensor t = grads[input][static_cast<std::int64_t>(r)].to(at::kDouble).contiguous();
       return {t.data_ptr<double>(), t.data_ptr<double>() + t.numel()};
     };
-    for (std::size_t r = 0; r < group.cases.size(); ++r) {
-      const std::size_t i = group.cases[r];
+    for (const std::size_t i : group.cases) {
+      const std::size_t r = group.row(i);
       if (!failures_[i].empty()) continue;
       auto& g = gradients[i];
       const auto d_shape = row(0, r), d_states = row(1, r), d_controls = row(2, r), d_knowledge = row(3, r),

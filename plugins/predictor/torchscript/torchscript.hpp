@@ -19,7 +19,8 @@ struct Params {
     v("module", module, "TorchScript file (torch.jit.save).");
     v("metadata", metadata, "What it was trained for, YAML; default: the module's name with .yaml.");
     v("batch", batch,
-      "Run cases of one length together. False: one by one, so that a case never depends on its batch.");
+      "Run cases of one length together, to the end of their controls. False: one by one, so that a case never depends "
+      "on its batch.");
     v("threads", threads, range(0, 1024), "Threads of libtorch; 0: those of the program.");
   }
 };

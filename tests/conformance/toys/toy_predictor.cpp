@@ -209,6 +209,7 @@ class ToyPredictor final : public Predictor {
         auto shape = evaluate(f_, c, segment);
         if (is("numbers_are_sound") && c.knowledge.width.isZero(0.0)) shape.sigma.setZero();
         if (is("batch_equals_singles")) shape.mean.array() += 1e-12 * static_cast<double>(cases.size());
+        if (is("a_case_does_not_see_the_other_rows")) shape.mean.array() += 1e-12 * cases.back().controls.sum();
         if (is("same_input_same_bits")) shape.mean.array() += 1e-12 * object_ordinal();
         if (is("same_bits_on_two_threads")) shape.mean.array() += 1e-12 * thread_ordinal();
         if (request.moments == Moments::mean) shape.sigma.resize(0, 3);
