@@ -2,10 +2,13 @@
 // gradient.
 #include <benchmark/benchmark.h>
 
+#include <chrono>
+#include <ctime>
 #include <thread>
 
 #include "predictor/emd/emd.hpp"
 #include "trajectory/arc/arc.cpp"
+#include "weft/batching.hpp"
 #include "weft/registry.hpp"
 
 namespace {
@@ -69,6 +72,71 @@ void predict_only(benchmark::State& state) {
   for (auto _ : state) benchmark::DoNotOptimize(bench.predictor.predict(bench.cases, {.moments = Moments::mean}));
 }
 BENCHMARK(predict_only)->Args({1, 16, 25})->Unit(benchmark::kMillisecond)->UseRealTime();
+
+/// Predictions and gradients as a search asks for them, with the time that they take.
+class Timed final : public Objective {
+ public:
+  explicit Timed(Bench& bench) : bench_(bench), controls_(bench.cases.front().controls) {}
+  static double cpu() {
+    timespec now{};
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
+    return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+  }
+  static double wall() {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+  }
+  Index dim() const override { return controls_.size(); }
+  ObjectiveCapabilities capabilities() const override { return {true, 0}; }
+  Evaluation evaluate(ConstMatrix x, const std::vector<Index>&, const EvaluationRequest&) override {
+    const double cpu_before = cpu(), wall_before = wall();
+    Evaluation e;
+    e.costs = Vector::Zero(x.cols());
+    e.gradients.resize(dim(), x.cols());
+    std::vector<PredictionCase> cases(bench_.cases.begin(), bench_.cases.begin() + x.cols());
+    for (Index i = 0; i < x.cols(); ++i)
+      cases[static_cast<std::size_t>(i)].controls =
+          Eigen::Map<const Controls>(x.col(i).data(), controls_.rows(), controls_.cols());
+    const auto prediction = bench_.predictor.predict(cases, {.moments = Moments::mean, .gradients = true});
+    const auto gradients = prediction->pullback(bench_.cotangents);
+    for (Index i = 0; i < x.cols(); ++i)
+      e.gradients.col(i) = Eigen::Map<const Vector>(gradients[static_cast<std::size_t>(i)].controls.data(), dim());
+    cpu_seconds += cpu() - cpu_before;
+    wall_seconds += wall() - wall_before;
+    return e;
+  }
+  double cpu_seconds = 0.0, wall_seconds = 0.0;
+
+ private:
+  Bench& bench_;
+  Controls controls_;
+};
+
+/// What the threads of a search and their meetings add to its predictions, percent of them; 16 instances, 25 segments.
+/// CPU time is the one to read on a machine that does something else as well.
+void batching_overhead(benchmark::State& state) {
+  constexpr Index instances = 16, batches = 20;
+  Bench bench(1, instances, 25, false);
+  Timed objective(bench);
+  const Vector x = Eigen::Map<const Vector>(bench.cases.front().controls.data(), objective.dim());
+  const Box box{(x.array() - 1.0).matrix(), (x.array() + 1.0).matrix()};
+  double cpu = 0.0, wall = 0.0;
+  for (auto _ : state) {
+    const double cpu_before = Timed::cpu(), wall_before = Timed::wall();
+    benchmark::DoNotOptimize(
+        minimise_pointwise("bench", objective, x.replicate(1, instances), box, Vector::Ones(x.size()), {}, nullptr,
+                           [&](PointwiseSearch& search, const Vector& start) {
+                             for (Index k = 0; k < batches; ++k)
+                               benchmark::DoNotOptimize(search.evaluate(start, {.gradients = true}));
+                             return SolverOutcome{};
+                           }));
+    cpu += Timed::cpu() - cpu_before;
+    wall += Timed::wall() - wall_before;
+  }
+  state.counters["batch_cpu_ms"] = 1e3 * objective.cpu_seconds / static_cast<double>(state.iterations() * batches);
+  state.counters["overhead_cpu_percent"] = 100.0 * (cpu / objective.cpu_seconds - 1.0);
+  state.counters["overhead_wall_percent"] = 100.0 * (wall / objective.wall_seconds - 1.0);
+}
+BENCHMARK(batching_overhead)->Unit(benchmark::kMillisecond)->UseRealTime();
 
 /// The products alone, without trajectory, copies and results: what the rest is measured against.
 void network_alone(benchmark::State& state) {
