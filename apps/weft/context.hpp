@@ -40,6 +40,8 @@ void add_common_options(CLI::App& command, Context& context);
 
 // One per file cmd_*.cpp.
 void register_run(CLI::App& app, Context& context);
+void register_plan(CLI::App& app, Context& context);
+void register_estimate(CLI::App& app, Context& context);
 void register_plugins(CLI::App& app, Context& context);
 void register_describe(CLI::App& app, Context& context);
 void register_conformance(CLI::App& app, Context& context);

@@ -14,6 +14,8 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (" WEFT_COMMIT ")"));
   Context context;
   register_run(app, context);
+  register_plan(app, context);
+  register_estimate(app, context);
   register_simulate(app, context);
   register_displacement(app, context);
   register_garment(app, context);

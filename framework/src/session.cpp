@@ -127,6 +127,11 @@ Positions final_shape_of(const std::filesystem::path& session_file, const Garmen
   return file.read_positions("/final_shape");
 }
 
+void require_same_garment(const SessionRecord& recorded, const Garment& garment) {
+  if (recorded.rest.rows() != garment.rest.rows() || recorded.rest != garment.rest || recorded.faces != garment.faces)
+    throw ConfigError("the session was recorded with another garment (" + recorded.garment_name + ")");
+}
+
 }  // namespace
 
 SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task,
@@ -206,36 +211,110 @@ SettleResult SimulatorEnvironment::release() {
   return result;
 }
 
+namespace {
+
+struct SessionGoal {
+  Positions shape, default_shape;  // [V, 3] m; default_shape: what the default control gives
+  Controls controls;               // of a goal that was simulated, else 0 rows
+};
+
+MaterialProperties true_material_of(const SessionParams& params, const ConfigNode& origin) {
+  if (!params.true_material.empty()) return read_property_vector(origin, "true_material", params.true_material);
+  RandomStream random(static_cast<std::uint64_t>(params.seed), kMaterialStream);
+  MaterialProperties q;
+  for (Index p = 0; p < 4; ++p) q(p) = random.uniform();
+  return q;
+}
+
+/// What is known before the first segment; `estimate`: nothing.
+MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin, const MaterialProperties& q) {
+  MaterialKnowledge knowledge;
+  if (params.knowledge == "true") knowledge = MaterialKnowledge::certain(q);
+  if (params.knowledge == "given") {
+    knowledge.centre = read_property_vector(origin, "given_centre", params.given_centre);
+    knowledge.width = read_property_vector(origin, "given_width", params.given_width);
+  }
+  if (params.knowledge == "drawn") {
+    RandomStream random(static_cast<std::uint64_t>(params.seed), kKnowledgeStream);
+    knowledge.width.setConstant(params.drawn_width);
+    for (Index p = 0; p < 4; ++p) {
+      const double offset = params.drawn_width * (random.uniform() - 0.5);
+      knowledge.centre(p) = std::clamp(q(p) + offset, 0.0, 1.0);
+    }
+  }
+  return knowledge;
+}
+
+std::shared_ptr<const Predictor> bound_predictor(const SessionParams& params, const ConfigNode& origin,
+                                                 const Task& task, Host& host) {
+  if (params.predictor.is_null()) origin.fail("predictor is missing; name one, such as {plugin: rollout}");
+  const auto predictor = host.create<Predictor>(params.predictor);
+  predictor->bind(task);
+  return predictor;
+}
+
+/// What the default control gives, and the goal.
+SessionGoal make_goal(const SessionParams& params, const ConfigNode& origin, const Task& task,
+                      const MaterialProperties& true_material, Host& host) {
+  const auto& trajectory = *task.trajectory;
+  SessionGoal goal;
+  const auto reference = host.create<Simulator>(task.simulator);
+  const Index horizon = params.goal.horizon;
+  goal.default_shape =
+      simulate_fold(*reference, task, true_material, trajectory.default_controls(horizon)).shapes.back();
+  const MaterialProperties goal_material = params.goal.material.empty()
+                                               ? true_material
+                                               : read_property_vector(origin, "goal.material", params.goal.material);
+  const int given = !params.goal.obj.empty() + !params.goal.example.empty() + !params.goal.controls.is_null();
+  if (given > 1) origin.fail("goal: give at most one of obj, example and controls");
+  if (!params.goal.obj.empty()) {
+    goal.shape = read_obj(params.goal.obj).positions;
+  } else if (!params.goal.example.empty()) {
+    goal.shape = final_shape_of(params.goal.example, *task.garment);
+  } else if (!params.goal.controls.is_null()) {
+    goal.controls = read_controls(params.goal.controls, trajectory, horizon);
+    goal.shape = simulate_fold(*reference, task, goal_material, goal.controls).shapes.back();
+  } else {
+    const auto& random_goal = params.goal.random;
+    for (std::int64_t attempt = 0; attempt < random_goal.attempts && goal.shape.rows() == 0; ++attempt) {
+      RandomStream random =
+          RandomStream(static_cast<std::uint64_t>(params.seed), kGoalStream).child(static_cast<std::uint64_t>(attempt));
+      const Controls controls = random_controls(trajectory, horizon, random_goal.distribution, random);
+      FoldResult fold;
+      try {
+        fold = simulate_fold(*reference, task, goal_material, controls);
+      } catch (const Diverged& error) {
+        host.log(LogLevel::warning, std::string("a goal candidate was skipped: ") + error.what());
+        continue;
+      }
+      if (!fold.released || mean_distance_mm(fold.shapes.back(), goal.default_shape) < random_goal.min_distance_mm)
+        continue;
+      goal.shape = fold.shapes.back();
+      goal.controls = controls.topRows(fold.segments);
+    }
+    if (goal.shape.rows() == 0) {
+      throw Error("goal: none of " + std::to_string(random_goal.attempts) + " random trajectories ended " +
+                  std::to_string(random_goal.min_distance_mm) + " mm or more from what the default control gives");
+    }
+  }
+  if (goal.shape.rows() != task.garment->vertex_count()) {
+    origin.fail("goal has " + std::to_string(goal.shape.rows()) + " vertices, the garment has " +
+                std::to_string(task.garment->vertex_count()));
+  }
+  return goal;
+}
+
+}  // namespace
+
 SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host,
                           const SessionProgress& progress) {
   const Task task = make_task(params.task, origin, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
   const auto& trajectory = *task.trajectory;
   SessionResult result;
-
-  if (params.true_material.empty()) {
-    RandomStream random(seed, kMaterialStream);
-    for (Index p = 0; p < 4; ++p) result.true_material(p) = random.uniform();
-  } else {
-    result.true_material = read_property_vector(origin, "true_material", params.true_material);
-  }
-  MaterialKnowledge knowledge;
-  if (params.knowledge == "true") knowledge = MaterialKnowledge::certain(result.true_material);
-  if (params.knowledge == "given") {
-    knowledge.centre = read_property_vector(origin, "given_centre", params.given_centre);
-    knowledge.width = read_property_vector(origin, "given_width", params.given_width);
-  }
-  if (params.knowledge == "drawn") {
-    RandomStream random(seed, kKnowledgeStream);
-    knowledge.width.setConstant(params.drawn_width);
-    for (Index p = 0; p < 4; ++p) {
-      const double offset = params.drawn_width * (random.uniform() - 0.5);
-      knowledge.centre(p) = std::clamp(result.true_material(p) + offset, 0.0, 1.0);
-    }
-  }
-  if (params.predictor.is_null()) origin.fail("predictor is missing; name one, such as {plugin: rollout}");
-  const auto predictor = host.create<Predictor>(params.predictor);
-  predictor->bind(task);
+  result.true_material = true_material_of(params, origin);
+  MaterialKnowledge knowledge = first_knowledge(params, origin, result.true_material);
+  const auto predictor = bound_predictor(params, origin, task, host);
   const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
   std::unique_ptr<const Estimator> estimator;
   if (params.knowledge == "estimate") {
@@ -257,49 +336,10 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
         std::make_unique<const Planner>(task, simulation, host.create<Optimiser>(params.optimiser), refinement, host);
   }
 
-  // What the default control gives, and the goal.
-  const auto reference = host.create<Simulator>(task.simulator);
-  const Index horizon = params.goal.horizon;
-  result.default_shape =
-      simulate_fold(*reference, task, result.true_material, trajectory.default_controls(horizon)).shapes.back();
-  const MaterialProperties goal_material = params.goal.material.empty()
-                                               ? result.true_material
-                                               : read_property_vector(origin, "goal.material", params.goal.material);
-  const int given = !params.goal.obj.empty() + !params.goal.example.empty() + !params.goal.controls.is_null();
-  if (given > 1) origin.fail("goal: give at most one of obj, example and controls");
-  if (!params.goal.obj.empty()) {
-    result.goal = read_obj(params.goal.obj).positions;
-  } else if (!params.goal.example.empty()) {
-    result.goal = final_shape_of(params.goal.example, *task.garment);
-  } else if (!params.goal.controls.is_null()) {
-    result.goal_controls = read_controls(params.goal.controls, trajectory, horizon);
-    result.goal = simulate_fold(*reference, task, goal_material, result.goal_controls).shapes.back();
-  } else {
-    const auto& random_goal = params.goal.random;
-    for (std::int64_t attempt = 0; attempt < random_goal.attempts && result.goal.rows() == 0; ++attempt) {
-      RandomStream random = RandomStream(seed, kGoalStream).child(static_cast<std::uint64_t>(attempt));
-      const Controls controls = random_controls(trajectory, horizon, random_goal.distribution, random);
-      FoldResult fold;
-      try {
-        fold = simulate_fold(*reference, task, goal_material, controls);
-      } catch (const Diverged& error) {
-        host.log(LogLevel::warning, std::string("a goal candidate was skipped: ") + error.what());
-        continue;
-      }
-      if (!fold.released || mean_distance_mm(fold.shapes.back(), result.default_shape) < random_goal.min_distance_mm)
-        continue;
-      result.goal = fold.shapes.back();
-      result.goal_controls = controls.topRows(fold.segments);
-    }
-    if (result.goal.rows() == 0) {
-      throw Error("goal: none of " + std::to_string(random_goal.attempts) + " random trajectories ended " +
-                  std::to_string(random_goal.min_distance_mm) + " mm or more from what the default control gives");
-    }
-  }
-  if (result.goal.rows() != task.garment->vertex_count()) {
-    origin.fail("goal has " + std::to_string(result.goal.rows()) + " vertices, the garment has " +
-                std::to_string(task.garment->vertex_count()));
-  }
+  SessionGoal made = make_goal(params, origin, task, result.true_material, host);
+  result.goal = std::move(made.shape);
+  result.goal_controls = std::move(made.controls);
+  result.default_shape = std::move(made.default_shape);
   result.default_error_mm = mean_distance_mm(result.default_shape, result.goal);
 
   // Plan, execute one segment, observe, re-plan, ..., release.
@@ -366,6 +406,104 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
     result.warnings.push_back("the released cloth did not settle within " + std::to_string(result.settle.frames) +
                               " frames");
   }
+  return result;
+}
+
+LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Index segment,
+                    Host& host) {
+  const Task task = make_task(params.task, origin, host);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
+  const Planner planner(task, bound_predictor(params, origin, task, host), host.create<Optimiser>(params.optimiser),
+                        params.planning, host);
+  LonePlan result;
+  PlanRequest request{.seed = seed};
+  if (recorded != nullptr) {
+    require_same_garment(*recorded, *task.garment);
+    if (segment < 1 || segment > recorded->segments())
+      throw ConfigError("weft plan: segment = " + std::to_string(segment) + ", the session has 1 to " +
+                        std::to_string(recorded->segments()));
+    const auto at = static_cast<std::size_t>(segment - 1);
+    const auto& round = recorded->rounds[at];
+    const auto seen = [&](Index number) {  // after segment `number`, 0: the start
+      return std::make_shared<const Positions>(
+          number == 0 ? recorded->start : recorded->rounds[static_cast<std::size_t>(number - 1)].observed);
+    };
+    request.shape = seen(segment - 1);
+    if (segment > 1) {
+      request.previous = seen(segment - 2);
+      const auto& before = recorded->rounds[at - 1].controls;
+      request.warm_start =
+          before.rows() > 1 ? Controls(before.bottomRows(before.rows() - 1)) : task.trajectory->default_controls(1);
+    }
+    request.state = round.state;
+    request.knowledge =
+        params.knowledge == "true" ? MaterialKnowledge::certain(recorded->true_material) : round.knowledge;
+    request.round = segment - 1;
+    result.goal = recorded->goal;
+  } else {
+    const MaterialProperties q = true_material_of(params, origin);
+    request.knowledge = first_knowledge(params, origin, q);
+    result.goal = make_goal(params, origin, task, q, host).shape;
+    const SimulatorEnvironment at_start(host.create<Simulator>(task.simulator), task, q);
+    request.shape = filled_start(task, observe_shape(at_start.positions(), params.observation, seed, 0));
+    request.state = task.trajectory->initial_state(task.manipulation);
+  }
+  request.goal = std::make_shared<const Positions>(result.goal);
+  result.knowledge = request.knowledge;
+  result.plan = planner.plan(request);
+  return result;
+}
+
+std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& task,
+                                       const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
+                                       Host& host) {
+  require_shape("replay: shapes", static_cast<Index>(replay.shapes.size()), replay.controls.rows() + 1);
+  EstimateRequest request;
+  request.start = filled_start(task, observe_shape(replay.shapes.front(), observation, seed, 0));
+  request.start_sigma = observation.noise_m;
+  request.state = replay.state;
+  request.seed = seed;
+  std::vector<Estimate> estimates;
+  for (Index j = 1; j <= replay.controls.rows(); ++j) {
+    if (host.cancelled()) throw Error("cancelled");
+    request.controls = replay.controls.topRows(j);
+    request.observations.push_back(std::make_shared<const Observation>(
+        observe_shape(replay.shapes[static_cast<std::size_t>(j)], observation, seed, static_cast<std::uint64_t>(j))));
+    request.round = j - 1;
+    estimates.push_back(estimator.estimate(request));
+    request.previous = estimates.back().knowledge;
+  }
+  return estimates;
+}
+
+LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded,
+                             Host& host) {
+  const Task task = make_task(params.task, origin, host);
+  const Estimator estimator(task, bound_predictor(params, origin, task, host),
+                            host.create<Optimiser>(params.estimation_optimiser), params.estimation, host);
+  LoneEstimates result;
+  Replay replay;
+  if (recorded != nullptr) {
+    require_same_garment(*recorded, *task.garment);
+    if (recorded->rounds.empty()) throw ConfigError("weft estimate: the session has no segment");
+    result.true_material = recorded->true_material;
+    replay.state = recorded->rounds.front().state;
+    replay.controls.resize(recorded->segments(), recorded->rounds.front().controls.cols());
+    replay.shapes.push_back(recorded->start);
+    for (Index j = 0; j < recorded->segments(); ++j) {
+      replay.controls.row(j) = recorded->rounds[static_cast<std::size_t>(j)].controls.row(0);
+      replay.shapes.push_back(recorded->shape_after(j));
+    }
+  } else {
+    result.true_material = true_material_of(params, origin);
+    const Controls controls = task.trajectory->default_controls(params.goal.horizon);
+    FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, result.true_material, controls);
+    replay.state = fold.states.row(0).transpose();
+    replay.controls = controls.topRows(fold.segments);
+    replay.shapes = std::move(fold.shapes);
+  }
+  result.estimates =
+      replay_estimates(estimator, task, params.observation, replay, static_cast<std::uint64_t>(params.seed), host);
   return result;
 }
 

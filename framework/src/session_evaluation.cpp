@@ -410,22 +410,14 @@ AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams&
       outcome.metrics.emplace_back(std::string("q_") + kPropertyNames[p], example->q(static_cast<Index>(p)));
     outcome.metrics.emplace_back("segments", static_cast<double>(example->segments()));
 
-    EstimateRequest request;
-    const Observation first = observe_shape(shape(0), params.observation, seed, 0);
-    request.start = filled_start(task, first);
-    request.start_sigma = params.observation.noise_m;
-    request.state = example->states.row(0).transpose();
-    request.seed = seed;
+    Replay replay;
+    for (Index j = 0; j <= example->segments(); ++j) replay.shapes.push_back(shape(j));
+    replay.state = example->states.row(0).transpose();
+    replay.controls = example->controls;
+    const auto estimates = replay_estimates(estimator, task, params.observation, replay, seed, host);
     double slowest = 0.0;
-    Estimate estimate;
     for (Index j = 1; j <= example->segments(); ++j) {
-      if (host.cancelled()) throw Error("cancelled");
-      request.controls = example->controls.topRows(j);
-      request.observations.push_back(std::make_shared<const Observation>(
-          observe_shape(shape(j), params.observation, seed, static_cast<std::uint64_t>(j))));
-      request.round = j - 1;
-      estimate = estimator.estimate(request);
-      request.previous = estimate.knowledge;
+      const auto& estimate = estimates[static_cast<std::size_t>(j - 1)];
       slowest = std::max(slowest, estimate.seconds);
       for (std::size_t p = 0; p < 4; ++p) {
         outcome.metrics.emplace_back(step_key("c", p, j), estimate.knowledge.centre(static_cast<Index>(p)));
@@ -433,10 +425,11 @@ AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams&
       }
     }
     outcome.metrics.emplace_back("slowest_estimate_seconds", slowest);
-    outcome.metrics.emplace_back("nll", estimate.nll);
-    if (estimate.posterior) {
+    const auto& last = estimates.back();
+    outcome.metrics.emplace_back("nll", last.nll);
+    if (last.posterior) {
       std::vector<double> values;
-      const auto& posterior = *estimate.posterior;
+      const auto& posterior = *last.posterior;
       values.insert(values.end(), posterior.mode.data(), posterior.mode.data() + 4);
       values.insert(values.end(), posterior.gradient.data(), posterior.gradient.data() + 4);
       values.insert(values.end(), posterior.precision.data(), posterior.precision.data() + 16);

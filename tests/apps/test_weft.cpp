@@ -104,6 +104,53 @@ TEST(Program, ASavedConfigRepeatsTheRunBitForBit) {
   }
 }
 
+TEST(Program, PlanAndEstimateAloneDoWhatTheSessionDid) {
+  const Folder folder;
+  const auto task =
+      folder.write("task.yaml", "garment: " WEFT_SOURCE_DIR
+                                "/configs/garments/towel_coarse.yaml\n"
+                                "material: " WEFT_SOURCE_DIR
+                                "/configs/fabrics/basic.yaml\n"
+                                "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
+                                "predictor: {plugin: rollout}\n"
+                                "planning: {instances: 1, iterations: 2, replan_iterations: 1, horizon: 8}\n"
+                                "estimation: {instances: 1, iterations: 1, later_iterations: 1}\n"
+                                "goal: {random: {min_distance_mm: 10}}\n"
+                                "settle: {max_frames: 30}\n"
+                                "knowledge: estimate\n"
+                                "seed: 12\n");
+  const auto command = [&](const std::string& name, const std::string& options) {
+    const Outcome outcome =
+        weft_command(name + " '" + task.string() + "' --quiet --out '" + (folder / name).string() + "' " + options);
+    EXPECT_EQ(outcome.code, 0) << outcome.output;
+  };
+  const auto json = [&](const char* file) { return nlohmann::json::parse(text_of(folder / file)); };
+  command("run", "");
+  const auto recorded = Hdf5File::open(folder / "run/session.h5");
+  const std::string session = "--session '" + (folder / "run").string() + "'";
+  const auto expect_plan = [&](const std::string& options, const std::string& round) {
+    command("plan", options);
+    std::vector<double> controls;
+    const auto plan = json("plan/plan.json");
+    for (const auto& row : plan["controls"])
+      for (const double value : row) controls.push_back(value);
+    EXPECT_EQ(controls, recorded.read("/rounds/" + round + "/controls")) << options;
+  };
+  expect_plan("", "000");
+  expect_plan(session, "000");
+  expect_plan(session + " --segment 3", "002");
+  EXPECT_EQ(weft_command("plan '" + task.string() + "' " + session + " --segment 99").code, 2);
+
+  command("estimate", session);
+  const nlohmann::json estimates = json("estimate/estimate.json")["estimates"];
+  const auto centre = recorded.read("/estimates/centre");
+  ASSERT_EQ(4 * estimates.size(), centre.size());
+  for (std::size_t i = 0; i < centre.size(); ++i)  // frames are recorded in single precision
+    EXPECT_NEAR(estimates[i / 4]["centre"][i % 4].get<double>(), centre[i], 1e-3) << i;
+  command("estimate", "--set planning.horizon=8");
+  EXPECT_GE(json("estimate/estimate.json")["estimates"].size(), 4u);
+}
+
 TEST(Program, EvaluatePhysicsWritesWhatItPrints) {
   const Folder folder;
   const std::string command = "evaluate physics " WEFT_SOURCE_DIR "/configs/experiments/physics.yaml --out '" +

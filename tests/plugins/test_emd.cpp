@@ -503,6 +503,27 @@ TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
   EXPECT_LT(error, 0.4 * still);
 }
 
+TEST(EmdTraining, TheBestModelSoFarCanBeUsedMeanwhile) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host(1);
+  Params params;
+  params.architecture = small();
+  params.training = quick();
+  int loaded = 0;
+  EmdPredictor(params, host)
+      .fit(toy_dataset(task, 40), task, {.seed = 4, .model = folder / "model.h5"}, [&](const FitProgress& p) {
+        if (p.iteration < params.training.iterations && std::filesystem::exists(folder / "model.h5")) {
+          Params with_model = params;
+          with_model.model = folder / "model.h5";
+          EmdPredictor(with_model, host).bind(task);
+          ++loaded;
+        }
+        return true;
+      });
+  EXPECT_GT(loaded, 0);
+}
+
 TEST(EmdTraining, AStoppedFitGoesOnToTheSameBits) {
   const Folder folder;
   const Task task = patch_task();

@@ -764,7 +764,7 @@ class Fit {
 
   void save_best(bool is_final) {
     model_.weights = best_weights_;
-    if (!is_final) model_.calibration.assign(1, 1.0f);
+    if (!is_final) model_.calibration.assign(4, 1.0f);
     // Nothing of the clock in here: the same fit gives the same file.
     ordered_json j{{"examples", train_.size()},
                    {"iterations", best_iteration_},

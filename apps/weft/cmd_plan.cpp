@@ -1,0 +1,156 @@
+#include <cstdio>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "context.hpp"
+#include "output.hpp"
+#include "weft/session.hpp"
+
+// `weft plan` and `weft estimate`: one half of a session alone.
+
+namespace weft::app {
+namespace {
+
+using nlohmann::ordered_json;
+
+struct Options {
+  std::string config, session;
+  int segment = 1;
+};
+
+ordered_json to_json(const Controls& rows) {
+  auto list = ordered_json::array();
+  for (Index r = 0; r < rows.rows(); ++r) {
+    const Vector row = rows.row(r).transpose();
+    list.push_back(std::vector<double>(row.data(), row.data() + row.size()));
+  }
+  return list;
+}
+std::vector<double> to_list(const PropertyVector& v) { return {v.data(), v.data() + v.size()}; }
+
+ordered_json to_json(const LonePlan& lone) {
+  const Plan& plan = lone.plan;
+  return {{"segments", plan.controls.rows()},
+          {"releases", plan.releases},
+          {"predicted_error_mm", plan.predicted_error_mm},
+          {"loss", plan.loss},
+          {"losses", plan.losses},
+          {"instance", plan.instance},
+          {"iterations", plan.iterations},
+          {"evaluations", plan.evaluations},
+          {"plan_seconds", plan.seconds},
+          {"knowledge", {{"centre", to_list(lone.knowledge.centre)}, {"width", to_list(lone.knowledge.width)}}},
+          {"controls", to_json(plan.controls)}};
+}
+ordered_json to_json(const LoneEstimates& lone) {
+  auto list = ordered_json::array();
+  for (std::size_t j = 0; j < lone.estimates.size(); ++j) {
+    const Estimate& one = lone.estimates[j];
+    list.push_back({{"segment", j + 1},
+                    {"centre", to_list(one.knowledge.centre)},
+                    {"width", to_list(one.knowledge.width)},
+                    {"loss", one.loss},
+                    {"nll", one.nll},
+                    {"estimate_seconds", one.seconds}});
+  }
+  return {{"true_material", to_list(lone.true_material)}, {"estimates", list}};
+}
+
+/// Reads the config and the recorded session, lets `compute` work, saves what it returns as NAME.json.
+template <class Compute>
+int run_alone(Context& context, const Options& options, const std::string& name, const Compute& compute) {
+  const ConfigNode config = context.load(options.config);
+  SessionParams params;
+  const ConfigNode resolved = read_params(config, params);
+  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
+  const auto registry = context.registry(config);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
+  const auto host = context.host(registry, seed);
+  const Task task = make_task(params.task, config, *host);
+  std::optional<SessionRecord> recorded;
+  if (!options.session.empty()) {
+    std::filesystem::path file = options.session;
+    if (std::filesystem::is_directory(file)) file /= "session.h5";
+    recorded = read_session(file);
+  }
+  const std::string json = compute(params, config, recorded ? &*recorded : nullptr, *host).dump(2) + "\n";
+  const auto stem = std::filesystem::path(options.config).stem().string();
+  const auto folder = output_folder(context, name + "-" + stem + "-seed" + std::to_string(seed));
+  write_text(folder / "config.yaml", self_contained(resolved, task, *registry, folder).to_yaml());
+  write_text(folder / "provenance.json", provenance_json(*registry, *host, seed));
+  write_text(folder / (name + ".json"), json);
+  if (context.json) std::cout << json;
+  context.say("results in " + folder.string());
+  return 0;
+}
+
+int plan(Context& context, const Options& options) {
+  return run_alone(
+      context, options, "plan",
+      [&](const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Host& host) {
+        const LonePlan lone = plan_alone(params, origin, recorded, options.segment, host);
+        char line[160];
+        std::snprintf(line, sizeof(line), "plan of %td segments%s, predicted error %.1f mm, %.2f s",
+                      lone.plan.controls.rows(), lone.plan.releases ? "" : " (no release yet)",
+                      lone.plan.predicted_error_mm, lone.plan.seconds);
+        context.say(line);
+        return to_json(lone);
+      });
+}
+
+int estimate(Context& context, const Options& options) {
+  return run_alone(
+      context, options, "estimate",
+      [&](const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Host& host) {
+        const LoneEstimates lone = estimate_alone(params, origin, recorded, host);
+        char line[200];
+        context.say("centre (width) of  friction       bend           stretch        thickness");
+        const auto row = [&](const std::string& label, const MaterialKnowledge& k) {
+          std::snprintf(line, sizeof(line), "%-18s %.2f (%.2f)    %.2f (%.2f)    %.2f (%.2f)    %.2f (%.2f)",
+                        label.c_str(), k.centre(0), k.width(0), k.centre(1), k.width(1), k.centre(2), k.width(2),
+                        k.centre(3), k.width(3));
+          context.say(line);
+        };
+        for (std::size_t j = 0; j < lone.estimates.size(); ++j)
+          row("segment " + std::to_string(j + 1), lone.estimates[j].knowledge);
+        row("truth", MaterialKnowledge::certain(lone.true_material));
+        return to_json(lone);
+      });
+}
+
+using Command = int (*)(Context&, const Options&);
+
+CLI::App* add_command(CLI::App& app, Context& context, const char* name, const char* description, Command run,
+                      const std::shared_ptr<Options>& options) {
+  CLI::App* command = app.add_subcommand(name, description);
+  add_common_options(*command, context);
+  command->add_option("config", options->config, "Task file, such as configs/tasks/tshirt_fold.yaml")->required();
+  command->callback(
+      [&context, options, run] { context.action = [&context, options, run] { return run(context, *options); }; });
+  return command;
+}
+
+}  // namespace
+
+void register_plan(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command =
+      add_command(app, context, "plan", "Plan alone: the first plan of a session, or one of a recorded session again",
+                  plan, options);
+  CLI::Option* session = command->add_option("--session", options->session,
+                                             "session.h5, or the folder of a run: plan again from what was seen there");
+  command->add_option("--segment", options->segment, "Segment before which it plans; 1: from the start")
+      ->check(CLI::PositiveNumber)
+      ->needs(session);
+}
+
+void register_estimate(CLI::App& app, Context& context) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command =
+      add_command(app, context, "estimate",
+                  "Estimate the material alone: after every segment of a recorded session, or of the default fold",
+                  estimate, options);
+  command->add_option("--session", options->session, "session.h5, or the folder of a run: what was seen there");
+}
+
+}  // namespace weft::app
