@@ -611,8 +611,11 @@ ConfigNode apply_override(const ConfigNode& config, const std::string& assignmen
     throw ConfigError("--set " + assignment + ": must be key.path=value");
   }
   const std::string path = assignment.substr(0, equals);
-  Source source{"--set " + path, ".", false};
-  const ConfigNode value = parse_text(assignment.substr(equals + 1), source);
+  const std::string text = assignment.substr(equals + 1);
+  Source named{"--set " + path, ".", false};
+  parse_text(text, named);             // what is no YAML has no key of its own to be called by
+  Source source{"--set", ".", false};  // later errors name the key themselves
+  const ConfigNode value = parse_text(text, source);
   const auto last = path.rfind('.');
   if (last != std::string::npos && path.substr(last + 1) == "plugin") {
     const std::string slot_path = path.substr(0, last);

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "unit/test_program.hpp"
@@ -67,7 +68,7 @@ TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {
   const auto yaml = folder.write("yaml.yaml", "a: [1\n");
   EXPECT_THAT(refused(yaml.string()), AllOf(HasSubstr("yaml.yaml:"), HasSubstr("not valid YAML")));
   EXPECT_THAT(refused(kTask, "--set planning.instances=none"),
-              HasSubstr("--set planning.instances: planning.instances = none, must be a whole number"));
+              HasSubstr("--set: planning.instances = none, must be a whole number"));
   EXPECT_THAT(refused(kTask, "--set planning"), HasSubstr("--set planning: must be key.path=value"));
 }
 

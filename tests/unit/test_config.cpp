@@ -262,7 +262,7 @@ TEST(ConfigOverride, SetsValuesAnywhere) {
 TEST(ConfigOverride, ErrorsNameTheOption) {
   const ConfigNode fold = apply_override(parse(kFold), "simulator.params.substeps=many");
   EXPECT_EQ(refusal([&] { fold.at("simulator").at("params").at("substeps").as_int(); }),
-            "--set simulator.params.substeps: simulator.params.substeps = many, must be a whole number");
+            "--set: simulator.params.substeps = many, must be a whole number");
   EXPECT_EQ(refusal([&] { apply_override(parse(kFold), "substeps"); }), "--set substeps: must be key.path=value");
   EXPECT_EQ(refusal([&] { apply_override(parse(kFold), "=3"); }), "--set =3: must be key.path=value");
   EXPECT_THAT(refusal([&] { apply_override(parse(kFold), "a..b=3"); }), HasSubstr("empty key"));
