@@ -25,25 +25,6 @@ struct Instance {
 
 double sign(double v) { return v > 0.0 ? 1.0 : v < 0.0 ? -1.0 : 0.0; }
 
-void check(const Objective& objective, ConstMatrix starts, const Box& bounds, ConstVec scale) {
-  if (!objective.capabilities().gradients)
-    throw Unsupported("rprop: the objective offers no gradients; rprop needs them");
-  const Index dim = objective.dim();
-  require_shape("rprop: rows of starts", starts.rows(), dim);
-  require_shape("rprop: bounds.lower", bounds.lower.size(), dim);
-  require_shape("rprop: bounds.upper", bounds.upper.size(), dim);
-  require_shape("rprop: scale", scale.size(), dim);
-  if (!starts.allFinite()) throw Error("rprop: starts must be finite");
-  for (Index i = 0; i < dim; ++i) {
-    const std::string at = "[" + std::to_string(i) + "]";
-    if (!std::isfinite(bounds.lower[i]) || !std::isfinite(bounds.upper[i]) || bounds.lower[i] > bounds.upper[i])
-      throw Error("rprop: bounds" + at + " = [" + std::to_string(bounds.lower[i]) + ", " +
-                  std::to_string(bounds.upper[i]) + "], must be finite with lower <= upper");
-    if (!(scale[i] > 0.0) || !std::isfinite(scale[i]))
-      throw Error("rprop: scale" + at + " = " + std::to_string(scale[i]) + ", must be finite and > 0");
-  }
-}
-
 }  // namespace
 
 OptimiserCapabilities Rprop::capabilities() const {
@@ -57,7 +38,9 @@ OptimiserCapabilities Rprop::capabilities() const {
 std::vector<OptimiserResult> Rprop::minimise(Objective& objective, ConstMatrix starts, const Box& bounds,
                                              ConstVec scale, const OptimiserOptions& options,
                                              const OptimiserObserver& observer) const {
-  check(objective, starts, bounds, scale);
+  if (!objective.capabilities().gradients)
+    throw Unsupported("rprop: the objective offers no gradients; rprop needs them");
+  check_search("rprop", objective, starts, bounds, scale);
   const Index dim = objective.dim();
   const auto count = static_cast<std::size_t>(starts.cols());
   const Vector max_step = p_.max_step * (bounds.upper - bounds.lower);
