@@ -152,6 +152,17 @@ TEST(Program, PlanAndEstimateAloneDoWhatTheSessionDid) {
   EXPECT_GE(json("estimate/estimate.json")["estimates"].size(), 4u);
 }
 
+TEST(Program, TheShippedTaskFoldsWithTheShippedModel) {
+  const Folder folder;
+  const Outcome outcome =
+      weft_command("run '" + kTask + "' --seed 5003 --quiet --out '" + folder.path().string() + "'");
+  ASSERT_EQ(outcome.code, 0) << outcome.output;
+  const auto summary = nlohmann::json::parse(text_of(folder / "summary.json"));
+  // 1.2 mm when the model was made; a damaged or foreign model ends tens of millimetres off.
+  EXPECT_LT(summary["error_mm"].get<double>(), 10.0);
+  EXPECT_GT(summary["default_error_mm"].get<double>(), 40.0);
+}
+
 TEST(Program, EvaluatePhysicsWritesWhatItPrints) {
   const Folder folder;
   const std::string command = "evaluate physics " WEFT_SOURCE_DIR "/configs/experiments/physics.yaml --out '" +
