@@ -2,22 +2,17 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "context.hpp"
+#include "prepared.hpp"
 #include "weft/displacement.hpp"
 #include "weft/session.hpp"
 
 namespace weft::app {
 namespace {
 
-int tune(const Context& context, const std::string& file) {
-  const ConfigNode config = context.load(file);
-  SessionParams params;
-  read_params(config, params);
-  const auto registry = context.registry(config);
-  const auto host = context.host(registry, 0);
-  const Task task = make_task(params.task, config, *host);
-  const auto simulator = host->create<Simulator>(task.simulator);
-  const auto result = tune_displacement(task, *simulator, MaterialProperties::Constant(0.5));
+int tune(Context& context, const std::string& file) {
+  const Prepared<SessionParams> given(context, file);
+  const auto simulator = given.host->create<Simulator>(given.task.simulator);
+  const auto result = tune_displacement(given.task, *simulator, MaterialProperties::Constant(0.5));
   if (context.json) {
     std::cout << nlohmann::ordered_json{{"displacement_m", {result.displacement.x(), result.displacement.y()}},
                                         {"misfit_mm", result.misfit_mm},

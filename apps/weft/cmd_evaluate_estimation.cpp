@@ -8,20 +8,20 @@ namespace {
 
 int evaluate(Context& context, const EvaluationOptions& options, std::vector<std::string> methods) {
   EvaluationRun evaluation(context, options, "evaluate-estimation");
-  if (methods.empty()) methods = {evaluation.params.estimation.method};
+  if (methods.empty()) methods = {evaluation.given.params.estimation.method};
   const auto columns = evaluation.run(
       [&](const EvaluationCases& cases) {
-        return estimation_evaluation(evaluation.session, methods, evaluation.params.data, cases);
+        return estimation_evaluation(evaluation.session, methods, evaluation.given.params.data, cases);
       },
       [&](const EvaluationCases& cases, const std::filesystem::path& folder) {
-        return estimation_runner(cases, evaluation.params.data, folder);
+        return estimation_runner(cases, evaluation.given.params.data, folder);
       },
       [](const AblationRow&) { return std::string("done"); });
   const std::string json = estimation_evaluation_json(columns);
   write_text(evaluation.out / "estimation.json", json);
   write_text(evaluation.out / "estimation.csv", estimation_evaluation_csv(columns));
   const auto& first = columns.front();
-  write_estimation_shapes(first, *evaluation.task.garment, evaluation.source_folder(first.cases.source),
+  write_estimation_shapes(first, *evaluation.given.task.garment, evaluation.source_folder(first.cases.source),
                           evaluation.out / "cases.h5");
   if (context.json) std::cout << json;
   context.say(estimation_evaluation_table(json));

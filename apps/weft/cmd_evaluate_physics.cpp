@@ -8,6 +8,7 @@
 #include "context.hpp"
 #include "output.hpp"
 #include "page.hpp"
+#include "prepared.hpp"
 #include "weft/physics.hpp"
 #include "weft/session.hpp"
 
@@ -66,39 +67,33 @@ std::string to_csv(const std::vector<PhysicsRow>& rows) {
 }
 
 int evaluate(Context& context, const std::string& file) {
-  const ConfigNode config = context.load(file);
-  PhysicsExperimentParams params;
-  const ConfigNode resolved = read_params(config, params);
-  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
-  const auto registry = context.registry(config);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  const auto host = context.host(registry, seed);
-  const auto task = std::make_shared<const Task>(make_task(params.task, config, *host));
-  const auto cases = physics_cases(params.physics, task);
+  const Prepared<PhysicsExperimentParams> given(context, file);
+  const auto task = std::make_shared<const Task>(given.task);
+  const auto cases = physics_cases(given.params.physics, task);
   const auto out = output_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
-  const ConfigNode saved = self_contained(resolved, *task, *registry, out);
+  const ConfigNode saved = given.saved_config(out);
 
   const auto variant = [&](const char* name, const ConfigNode& slot) {
-    return SimulatorVariant{name, [&host, slot] { return host->create<Simulator>(slot); }};
+    return SimulatorVariant{name, [&given, slot] { return given.host->create<Simulator>(slot); }};
   };
   std::vector<SimulatorVariant> variants{variant("default", task->simulator)};
-  if (!params.finer.is_null()) variants.push_back(variant("finer", params.finer));
+  if (!given.params.finer.is_null()) variants.push_back(variant("finer", given.params.finer));
   std::vector<SimulatorVariant> pair{variant("default", task->simulator)};
-  if (!params.other.is_null()) pair.push_back(variant("other", params.other));
+  if (!given.params.other.is_null()) pair.push_back(variant("other", given.params.other));
   std::vector<std::vector<PhysicsRow>> results(cases.size());
   std::mutex printing;
-  host->parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {
-    if (host->cancelled()) return;
+  given.host->parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {
+    if (given.host->cancelled()) return;
     results[i] = run_physics_case(cases[i], cases[i].test == "paired folds" ? pair : variants);
     const std::lock_guard lock(printing);
     for (const auto& row : results[i]) context.say(format_physics_row(row));
   });
-  if (host->cancelled()) throw Error("interrupted");
+  if (given.host->cancelled()) throw Error("interrupted");
   std::vector<PhysicsRow> rows;
   for (auto& some : results) std::move(some.begin(), some.end(), std::back_inserter(rows));
 
   write_text(out / "config.yaml", saved.to_yaml());
-  write_text(out / "provenance.json", provenance_json(*registry, *host, seed));
+  write_text(out / "provenance.json", given.provenance());
   write_text(out / "physics.json", to_json(rows));
   write_text(out / "physics.csv", to_csv(rows));
   if (context.json) std::cout << to_json(rows);

@@ -29,7 +29,7 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   write_text(evaluation.out / "planning.json", json);
   write_text(evaluation.out / "planning.csv", planning_evaluation_csv(columns));
   const auto& first = columns.front();
-  write_planning_shapes(first, *evaluation.task.garment, evaluation.source_folder(first.cases.source),
+  write_planning_shapes(first, *evaluation.given.task.garment, evaluation.source_folder(first.cases.source),
                         evaluation.out / "cases.h5");
   if (context.json) std::cout << json;
   for (const auto& column : columns) context.say(planning_evaluation_table(column));

@@ -4,40 +4,35 @@
 #include "context.hpp"
 #include "output.hpp"
 #include "page.hpp"
+#include "prepared.hpp"
 #include "weft/prediction_evaluation.hpp"
 
 namespace weft::app {
 namespace {
 
 int evaluate(Context& context, const std::string& file, const std::string& data) {
-  const ConfigNode config = context.load(file);
-  ExperimentParams params;
-  const ConfigNode resolved = read_params(config, params);
-  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
-  const auto registry = context.registry(config);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  const auto host = context.host(registry, seed);
-  const Task task = make_task(params.task, config, *host);
-  if (params.predictor.is_null())
-    config.fail("predictor is missing; name one, such as {plugin: emd, params: {model: FILE}}");
-  const auto predictor = host->create<Predictor>(params.predictor);
-  predictor->bind(task);
-  const std::filesystem::path folder = data.empty() ? params.dataset : std::filesystem::path(data);
+  const Prepared<ExperimentParams> given(context, file);
+  if (given.params.predictor.is_null())
+    given.config.fail("predictor is missing; name one, such as {plugin: emd, params: {model: FILE}}");
+  const auto predictor = given.host->create<Predictor>(given.params.predictor);
+  predictor->bind(given.task);
+  const std::filesystem::path folder = data.empty() ? given.params.dataset : std::filesystem::path(data);
   if (folder.empty())
     throw ConfigError("weft evaluate prediction: --data FOLDER is required (or `dataset:` in the config)");
   context.say("reading " + folder.string());
   const Dataset dataset = Dataset::load(folder);
-  dataset.require_task(task);
+  dataset.require_task(given.task);
   const auto out = output_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
-  ConfigNode saved = self_contained(resolved, task, *registry, out);
+  ConfigNode saved = given.saved_config(out);
 
-  const PredictionEvaluation result = evaluate_prediction(*predictor, task, dataset, params.evaluation, seed, *host);
+  const PredictionEvaluation result =
+      evaluate_prediction(*predictor, given.task, dataset, given.params.evaluation, given.seed, *given.host);
   const std::string json = prediction_evaluation_json(result);
   write_text(out / "config.yaml", saved.to_yaml());
-  write_text(out / "provenance.json", provenance_json(*registry, *host, seed));
+  write_text(out / "provenance.json", given.provenance());
   write_text(out / "prediction.csv", prediction_evaluation_csv(result));
   write_text(out / "prediction.json", json);
-  write_prediction_shapes(result, *task.garment, out / "cases.h5");
+  write_prediction_shapes(result, *given.task.garment, out / "cases.h5");
   if (context.json) std::cout << json;
   char line[200];
   context.say("settled shape           n   mean mm  median mm     nll  coverage    nse  sigma mm");
@@ -53,7 +48,8 @@ int evaluate(Context& context, const std::string& file, const std::string& data)
     std::snprintf(line, sizeof(line), "%-22s %2td  %8.2f  %9.2f", name.c_str(), f.n, f.mean_mm, f.median_mm);
     context.say(line);
   }
-  if (result.failed > 0) host->log(LogLevel::warning, std::to_string(result.failed) + " cases could not be predicted");
+  if (result.failed > 0)
+    given.host->log(LogLevel::warning, std::to_string(result.failed) + " cases could not be predicted");
   write_page(context, out);
   context.say("results in " + out.string());
   return 0;

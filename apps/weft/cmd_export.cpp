@@ -45,8 +45,7 @@ std::vector<std::size_t> still_frames(const SessionRecord& session, const Export
 int run_export(Context& context, ExportOptions options) {
   if (options.formats.empty() && options.stills.empty())
     throw ConfigError("export: nothing to do; give --to, --png or both");
-  fs::path file = options.session;
-  if (fs::is_directory(file)) file /= "session.h5";
+  const fs::path file = session_file(options.session);
   if (std::sscanf(options.size.c_str(), "%dx%d", &options.still.width, &options.still.height) != 2 ||
       options.still.width < 16 || options.still.height < 16 || options.still.width > 8192 ||
       options.still.height > 8192) {

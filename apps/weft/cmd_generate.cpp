@@ -4,6 +4,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
+#include "prepared.hpp"
 #include "weft/experiment.hpp"
 
 namespace weft::app {
@@ -37,26 +38,20 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   options.examples = examples;
   if (!shard.empty()) parse_shard(shard, options);
   if (context.out.empty()) throw ConfigError("weft generate: --out FOLDER is required");
-  const ConfigNode config = context.load(file);
-  ExperimentParams params;
-  const ConfigNode resolved = read_params(config, params);
-  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
-  const auto registry = context.registry(config);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  const auto host = context.host(registry, seed);
-  const Task task = make_task(params.task, config, *host);
-  host->create<Simulator>(task.simulator);  // a wrong simulator shows before any work
+  const Prepared<ExperimentParams> given(context, file);
+  given.host->create<Simulator>(given.task.simulator);  // a wrong simulator shows before any work
   options.folder = output_folder(context, "");
-  const ConfigNode saved = data_config(resolved, task, *registry, options.folder);
+  const ConfigNode saved = data_config(given.resolved, given.task, *given.registry, options.folder);
   // Threads and machine do not belong to the examples: the files must not depend on them.
-  auto provenance = nlohmann::ordered_json::parse(provenance_json(*registry, *host, seed));
+  auto provenance = nlohmann::ordered_json::parse(given.provenance());
   for (const char* key : {"threads", "cores"}) provenance.erase(key);
-  const DatasetHeader header = make_dataset_header(task, params.data, seed, saved, provenance.dump(2) + "\n");
+  const DatasetHeader header =
+      make_dataset_header(given.task, given.params.data, given.seed, saved, provenance.dump(2) + "\n");
   write_text(options.folder / "config.yaml", saved.to_yaml());
 
-  context.say("making " + std::to_string(examples) + " examples of " + task.garment->name + " (" +
-              std::to_string(task.garment->vertex_count()) + " vertices), seed " + std::to_string(seed) + ", " +
-              std::to_string(host->threads()) + " threads");
+  context.say("making " + std::to_string(examples) + " examples of " + given.task.garment->name + " (" +
+              std::to_string(given.task.garment->vertex_count()) + " vertices), seed " + std::to_string(given.seed) +
+              ", " + std::to_string(given.host->threads()) + " threads");
   const auto progress = [&](const GenerateReport& report, std::int64_t total) {
     const double rate = static_cast<double>(report.made) / std::max(1e-9, report.seconds);
     char line[160];
@@ -66,7 +61,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
                   static_cast<long long>(report.failed));
     context.say(line);
   };
-  const GenerateReport report = generate_dataset(task, params.data, header, options, *host, progress);
+  const GenerateReport report = generate_dataset(given.task, given.params.data, header, options, *given.host, progress);
   const double rate = report.seconds > 0 ? static_cast<double>(report.made) / report.seconds : 0.0;
   if (context.json) {
     std::cout << nlohmann::ordered_json{{"made", report.made},         {"kept", report.kept},
@@ -79,7 +74,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   char line[200];
   std::snprintf(line, sizeof(line),
                 "%lld examples made in %.1f s (%.2f examples/s, %d threads), %lld kept, %lld failed",
-                static_cast<long long>(report.made), report.seconds, rate, host->threads(),
+                static_cast<long long>(report.made), report.seconds, rate, given.host->threads(),
                 static_cast<long long>(report.kept), static_cast<long long>(report.failed));
   context.say(line);
   if (report.cancelled) context.say("stopped; the same command makes the rest");

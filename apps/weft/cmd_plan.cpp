@@ -4,6 +4,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
+#include "prepared.hpp"
 #include "weft/session.hpp"
 
 // `weft plan` and `weft estimate`: one half of a session alone.
@@ -59,25 +60,14 @@ ordered_json to_json(const LoneEstimates& lone) {
 /// Reads the config and the recorded session, lets `compute` work, saves what it returns as NAME.json.
 template <class Compute>
 int run_alone(Context& context, const Options& options, const std::string& name, const Compute& compute) {
-  const ConfigNode config = context.load(options.config);
-  SessionParams params;
-  const ConfigNode resolved = read_params(config, params);
-  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
-  const auto registry = context.registry(config);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  const auto host = context.host(registry, seed);
-  const Task task = make_task(params.task, config, *host);
+  const Prepared<SessionParams> given(context, options.config);
   std::optional<SessionRecord> recorded;
-  if (!options.session.empty()) {
-    std::filesystem::path file = options.session;
-    if (std::filesystem::is_directory(file)) file /= "session.h5";
-    recorded = read_session(file);
-  }
-  const std::string json = compute(params, config, recorded ? &*recorded : nullptr, *host).dump(2) + "\n";
+  if (!options.session.empty()) recorded = read_session(session_file(options.session));
+  const std::string json = compute(given, recorded ? &*recorded : nullptr).dump(2) + "\n";
   const auto stem = std::filesystem::path(options.config).stem().string();
-  const auto folder = output_folder(context, name + "-" + stem + "-seed" + std::to_string(seed));
-  write_text(folder / "config.yaml", self_contained(resolved, task, *registry, folder).to_yaml());
-  write_text(folder / "provenance.json", provenance_json(*registry, *host, seed));
+  const auto folder = output_folder(context, name + "-" + stem + "-seed" + std::to_string(given.seed));
+  write_text(folder / "config.yaml", given.saved_config(folder).to_yaml());
+  write_text(folder / "provenance.json", given.provenance());
   write_text(folder / (name + ".json"), json);
   if (context.json) std::cout << json;
   context.say("results in " + folder.string());
@@ -85,24 +75,21 @@ int run_alone(Context& context, const Options& options, const std::string& name,
 }
 
 int plan(Context& context, const Options& options) {
-  return run_alone(
-      context, options, "plan",
-      [&](const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Host& host) {
-        const LonePlan lone = plan_alone(params, origin, recorded, options.segment, host);
-        char line[160];
-        std::snprintf(line, sizeof(line), "plan of %td segments%s, predicted error %.1f mm, %.2f s",
-                      lone.plan.controls.rows(), lone.plan.releases ? "" : " (no release yet)",
-                      lone.plan.predicted_error_mm, lone.plan.seconds);
-        context.say(line);
-        return to_json(lone);
-      });
+  return run_alone(context, options, "plan", [&](const Prepared<SessionParams>& given, const SessionRecord* recorded) {
+    const LonePlan lone = plan_alone(given.params, given.config, recorded, options.segment, *given.host);
+    char line[160];
+    std::snprintf(line, sizeof(line), "plan of %td segments%s, predicted error %.1f mm, %.2f s",
+                  lone.plan.controls.rows(), lone.plan.releases ? "" : " (no release yet)",
+                  lone.plan.predicted_error_mm, lone.plan.seconds);
+    context.say(line);
+    return to_json(lone);
+  });
 }
 
 int estimate(Context& context, const Options& options) {
   return run_alone(
-      context, options, "estimate",
-      [&](const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Host& host) {
-        const LoneEstimates lone = estimate_alone(params, origin, recorded, host);
+      context, options, "estimate", [&](const Prepared<SessionParams>& given, const SessionRecord* recorded) {
+        const LoneEstimates lone = estimate_alone(given.params, given.config, recorded, *given.host);
         char line[200];
         context.say("centre (width) of  friction       bend           stretch        thickness");
         const auto row = [&](const std::string& label, const MaterialKnowledge& k) {

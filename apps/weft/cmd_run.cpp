@@ -5,27 +5,21 @@
 #include "context.hpp"
 #include "output.hpp"
 #include "page.hpp"
+#include "prepared.hpp"
 #include "weft/session.hpp"
 
 namespace weft::app {
 namespace {
 
 int run(Context& context, const std::string& file) {
-  const ConfigNode config = context.load(file);
-  SessionParams params;
-  const ConfigNode resolved = read_params(config, params);
-  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
-  const auto registry = context.registry(config);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  const auto host = context.host(registry, seed);
-  // Everything that can be wrong in the config shows here, before any work.
-  const Task task = make_task(params.task, config, *host);
+  const Prepared<SessionParams> given(context, file);
   const auto folder =
-      output_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(seed));
-  ConfigNode saved = self_contained(resolved, task, *registry, folder);
+      output_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
+  ConfigNode saved = given.saved_config(folder);
 
-  context.say("folding " + task.garment->name + " (" + std::to_string(task.garment->vertex_count()) +
-              " vertices), seed " + std::to_string(seed) + ", " + std::to_string(host->threads()) + " threads");
+  context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
+              " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
+              " threads");
   const auto progress = [&](const SessionRound& round, Index number, double) {
     char line[160];
     std::snprintf(line, sizeof(line), "segment %2td  plan %5.1f s  %2td segments to go  predicted %5.1f mm%s",
@@ -33,19 +27,19 @@ int run(Context& context, const std::string& file) {
                   round.plan.releases ? "" : "  (no release yet)");
     context.say(line);
   };
-  const SessionResult result = run_session(params, config, *host, progress);
-  if (params.planning.time_budget_s > 0) {
+  const SessionResult result = run_session(given.params, given.config, *given.host, progress);
+  if (given.params.planning.time_budget_s > 0) {
     std::vector<ConfigNode> counts;
     for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
     saved = saved.with("planning.replay_iterations", ConfigNode::sequence(counts));
   }
-  const std::string provenance = provenance_json(*registry, *host, seed);
+  const std::string provenance = given.provenance();
   const std::string summary = session_summary_json(result);
   write_text(folder / "config.yaml", saved.to_yaml());
   write_text(folder / "provenance.json", provenance);
-  write_session(folder / "session.h5", result, task, saved, provenance);
+  write_session(folder / "session.h5", result, given.task, saved, provenance);
   write_text(folder / "summary.json", summary);
-  for (const auto& warning : result.warnings) host->log(LogLevel::warning, warning);
+  for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) std::cout << summary;
   char line[200];
   std::snprintf(line, sizeof(line), "error %.1f mm after %zu segments (default control: %.1f mm)", result.error_mm,

@@ -3,6 +3,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
+#include "prepared.hpp"
 #include "weft/experiment.hpp"
 #include "weft/trainable.hpp"
 
@@ -26,38 +27,32 @@ int train(Context& context, const std::string& file, const std::string& data) {
   if (context.out.empty()) throw ConfigError("weft train: --out MODEL is required, a file such as model.h5");
   const fs::path model = context.out;
   if (model.extension() != ".h5") throw ConfigError("--out = " + context.out + ", must end in .h5");
-  const ConfigNode config = context.load(file);
-  ExperimentParams params;
-  const ConfigNode resolved = read_params(config, params);
-  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
-  const auto registry = context.registry(config);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  const auto host = context.host(registry, seed);
-  const Task task = make_task(params.task, config, *host);
-  if (params.predictor.is_null()) config.fail("predictor is missing; name one that learns, such as {plugin: emd}");
-  const auto predictor = host->create<Predictor>(params.predictor);
+  const Prepared<ExperimentParams> given(context, file);
+  if (given.params.predictor.is_null())
+    given.config.fail("predictor is missing; name one that learns, such as {plugin: emd}");
+  const auto predictor = given.host->create<Predictor>(given.params.predictor);
   TrainablePredictor* learner = predictor->trainable();
   if (learner == nullptr)
-    config.fail("predictor does not learn from examples; name one that does, such as {plugin: emd}");
-  const fs::path folder = data.empty() ? params.dataset : fs::path(data);
+    given.config.fail("predictor does not learn from examples; name one that does, such as {plugin: emd}");
+  const fs::path folder = data.empty() ? given.params.dataset : fs::path(data);
   if (folder.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
 
   context.say("reading " + folder.string());
   const Dataset dataset = Dataset::load(folder);
-  dataset.require_task(task);
+  dataset.require_task(given.task);
   if (model.has_parent_path()) fs::create_directories(model.parent_path());
   FitOptions options;
-  options.seed = seed;
+  options.seed = given.seed;
   options.model = model;
   options.checkpoint = fs::path(model).replace_extension(".checkpoint.h5");
-  options.provenance = provenance_json(*registry, *host, seed);
+  options.provenance = given.provenance();
   char line[240];
   std::snprintf(line, sizeof(line), "training on %zu examples of %s, %zu for validation, %d threads%s",
                 dataset.select(Split::train).size(), dataset.header.garment_name.c_str(),
-                dataset.select(Split::validation).size(), host->threads(),
+                dataset.select(Split::validation).size(), given.host->threads(),
                 fs::exists(options.checkpoint) ? ", from the checkpoint" : "");
   context.say(line);
-  const FitReport report = learner->fit(dataset, task, options, [&](const FitProgress& p) {
+  const FitReport report = learner->fit(dataset, given.task, options, [&](const FitProgress& p) {
     std::snprintf(line, sizeof(line),
                   "%7lld of %lld  train %8.4f  validation %8.4f (best %8.4f)  %5.1f mm  rate %.1e  %s to go",
                   static_cast<long long>(p.iteration), static_cast<long long>(p.iterations), p.training_loss,
@@ -68,8 +63,9 @@ int train(Context& context, const std::string& file, const std::string& data) {
   // The resolved config beside the results, with the trained predictor's every default.
   const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
   write_text(out / "training.json", report.json);
-  write_text(out / "config.yaml",
-             resolved.with("predictor", registry->resolve(Predictor::kKind, params.predictor)).to_yaml());
+  write_text(
+      out / "config.yaml",
+      given.resolved.with("predictor", given.registry->resolve(Predictor::kKind, given.params.predictor)).to_yaml());
   if (context.json) std::cout << report.json;
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
                 report.finished ? "done" : "stopped; the same command goes on",

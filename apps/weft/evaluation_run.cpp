@@ -16,55 +16,51 @@ void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
 }
 
 EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name)
-    : context_(context), options_(options) {
-  const ConfigNode config = context.load(options.file);
-  const ConfigNode resolved = read_params(config, params);
-  session = config;
+    : given(context, options.file), context_(context), options_(options) {
+  const auto& params = given.params;
+  const auto& task = given.task;
+  Host& host = *given.host;
+  session = given.config;
   for (const char* key : {"data", "dataset", "evaluation"}) {
     if (session.has(key)) session = session.without(key);
   }
-  if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
-  registry_ = context.registry(config);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  host_ = context.host(registry_, seed);
-  task = make_task(params.task, config, *host_);
-  if (params.predictor.is_null()) config.fail("predictor is missing; name one, such as {plugin: rollout}");
-  const auto predictor = host_->create<Predictor>(params.predictor);
+  if (params.predictor.is_null()) given.config.fail("predictor is missing; name one, such as {plugin: rollout}");
+  const auto predictor = host.create<Predictor>(params.predictor);
   predictor->bind(task);
-  const Planner planner(task, predictor, host_->create<Optimiser>(params.optimiser), params.planning, *host_);
+  const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
   if (name == "evaluate-estimation") {
-    const Estimator estimator(task, predictor, host_->create<Optimiser>(params.estimation_optimiser), params.estimation,
-                              *host_);
+    const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
+                              host);
   }
   out = output_folder(context, name + "-" + std::filesystem::path(options.file).stem().string());
-  write_text(out / "config.yaml", self_contained(resolved, task, *registry_, out).to_yaml());
-  write_text(out / "provenance.json", provenance_json(*registry_, *host_, seed));
+  write_text(out / "config.yaml", given.saved_config(out).to_yaml());
+  write_text(out / "provenance.json", given.provenance());
 }
 
 std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, const MakeRunner& make_runner,
                                                  const std::function<std::string(const AblationRow&)>& line) {
   std::shared_ptr<const Dataset> dataset;
   if (std::any_of(options_.goals.begin(), options_.goals.end(), [](const auto& source) { return source != "fresh"; })) {
-    const std::filesystem::path folder = options_.data.empty() ? params.dataset : std::filesystem::path(options_.data);
+    const std::filesystem::path folder =
+        options_.data.empty() ? given.params.dataset : std::filesystem::path(options_.data);
     if (folder.empty())
       throw ConfigError("cases of a split need a dataset: --data FOLDER (or `dataset:` in the config)");
     context_.say("reading " + folder.string());
     dataset = std::make_shared<const Dataset>(Dataset::load(folder));
-    dataset->require_task(task);
+    dataset->require_task(given.task);
   }
   std::vector<EvaluationColumn> columns;
   for (const auto& source : options_.goals) {
     EvaluationColumn column;
-    column.cases = choose_cases(source, options_.cases, static_cast<std::uint64_t>(params.seed),
-                                source == "fresh" ? nullptr : dataset);
+    column.cases = choose_cases(source, options_.cases, given.seed, source == "fresh" ? nullptr : dataset);
     column.plan = make_plan(column.cases);
     columns.push_back(std::move(column));
   }
   for (auto& column : columns) {
     AblationOptions cells;
     cells.folder = source_folder(column.cases.source);
-    cells.jobs = host_->threads();
-    cells.registry = registry_;
+    cells.jobs = given.host->threads();
+    cells.registry = given.registry;
     cells.cancel = context_.cancel_flag();
     cells.runner = make_runner(column.cases, cells.folder);
     cells.progress = [&](const AblationRow& row, std::size_t done, std::size_t total) {

@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "context.hpp"
-#include "output.hpp"
+#include "prepared.hpp"
 #include "weft/session_evaluation.hpp"
 
 namespace weft::app {
@@ -29,9 +29,8 @@ class EvaluationRun {
   std::vector<EvaluationColumn> run(const MakePlan& make_plan, const MakeRunner& make_runner,
                                     const std::function<std::string(const AblationRow&)>& line);
 
+  Prepared<ExperimentParams> given;
   ConfigNode session;  ///< config of the cells
-  ExperimentParams params;
-  Task task;
   std::filesystem::path out;
   bool complete = true;
 
@@ -40,8 +39,6 @@ class EvaluationRun {
  private:
   Context& context_;
   EvaluationOptions options_;
-  std::shared_ptr<const PluginRegistry> registry_;
-  std::unique_ptr<Host> host_;
 };
 
 }  // namespace weft::app

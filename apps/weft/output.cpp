@@ -10,6 +10,10 @@ namespace weft::app {
 
 namespace fs = std::filesystem;
 
+fs::path session_file(const std::string& given) {
+  return fs::is_directory(given) ? fs::path(given) / "session.h5" : fs::path(given);
+}
+
 fs::path output_folder(const Context& context, const std::string& name) {
   const fs::path folder = context.out.empty() ? fs::path("results") / name : fs::path(context.out);
   std::error_code error;

@@ -10,6 +10,9 @@ namespace weft::app {
 /// The folder of a result: what --out names, or results/<name>. Made here. @throws ConfigError if it is a file.
 std::filesystem::path output_folder(const Context& context, const std::string& name);
 
+/// session.h5 of what a user names: the file, or the folder of a run.
+std::filesystem::path session_file(const std::string& given);
+
 /// Version, commit, plugins used, threads and machine: enough, with the resolved config, to repeat a run exactly.
 std::string provenance_json(const PluginRegistry& registry, const Host& host, std::uint64_t seed);
 

@@ -425,35 +425,45 @@ double differing_gradient(const CaseGradient& a, const CaseGradient& b) {
          differing(a.state, b.state) + differing(a.shape, b.shape);
 }
 
+/// A batch of cases, to compare each of them with what it gives in another batch.
+struct BatchOfCases {
+  explicit BatchOfCases(const Fold& of) : fold(of) {
+    if (fold.capabilities.gradients) gradients = pull(*prediction, cases, weights);
+  }
+  /// Numbers of case i, shapes and gradients, that differ when it stands in `row` of `others`.
+  double differing(std::size_t i, const std::vector<PredictionCase>& others, std::size_t row) const {
+    const bool with_gradients = fold.capabilities.gradients;
+    const auto other = fold.predict(others, with_gradients);
+    double wrong = differing_case(*prediction, i, *other, row);
+    if (!with_gradients) return wrong;
+    auto cotangents = smooth_cotangents(fold, others);
+    cotangents[row] = weights[i];
+    return wrong + differing_gradient(gradients[i], pull(*other, others, cotangents).at(row));
+  }
+
+  const Fold& fold;
+  std::vector<PredictionCase> cases = fold.cases();
+  std::vector<std::vector<ShapeCotangent>> weights = smooth_cotangents(fold, cases);
+  std::unique_ptr<Prediction> prediction = fold.predict(cases, fold.capabilities.gradients);
+  std::vector<CaseGradient> gradients;
+};
+
 Outcome batch_equals_singles(const Bench& bench) {
   const Fold fold(bench);
   if (!fold.capabilities.deterministic) return undeclared_without_call();
-  const auto cases = fold.cases();
-  const auto weights = smooth_cotangents(fold, cases);
-  const bool gradients = fold.capabilities.gradients;
-  const auto batch = fold.predict(cases, gradients);
-  std::vector<CaseGradient> together;
-  if (gradients) together = pull(*batch, cases, weights);
+  const BatchOfCases batch(fold);
+  const auto& cases = batch.cases;
   double wrong = 0.0;
-  for (std::size_t i = 0; i < cases.size(); ++i) {
-    const auto single = fold.predict({cases[i]}, gradients);
-    wrong += differing_case(*batch, i, *single, 0);
-    if (gradients) wrong += differing_gradient(together[i], pull(*single, {cases[i]}, {weights[i]}).at(0));
-  }
+  for (std::size_t i = 0; i < cases.size(); ++i) wrong += batch.differing(i, {cases[i]}, 0);
   const std::vector<PredictionCase> backwards(cases.rbegin(), cases.rend());
-  const auto reversed = fold.predict(backwards);
-  for (std::size_t i = 0; i < cases.size(); ++i) wrong += differing_case(*batch, i, *reversed, cases.size() - 1 - i);
+  for (std::size_t i = 0; i < cases.size(); ++i) wrong += batch.differing(i, backwards, cases.size() - 1 - i);
   return {wrong, ""};
 }
 
 Outcome a_case_does_not_see_the_other_rows(const Bench& bench) {
   const Fold fold(bench);
-  const auto cases = fold.cases();
-  const auto weights = smooth_cotangents(fold, cases);
-  const bool gradients = fold.capabilities.gradients;
-  const auto batch = fold.predict(cases, gradients);
-  std::vector<CaseGradient> together;
-  if (gradients) together = pull(*batch, cases, weights);
+  const BatchOfCases batch(fold);
+  const auto& cases = batch.cases;
   double wrong = 0.0;
   for (std::size_t i = 0; i < cases.size(); ++i) {
     // In the other rows: another length, and the padding of a search.
@@ -461,12 +471,7 @@ Outcome a_case_does_not_see_the_other_rows(const Bench& bench) {
     for (std::size_t j = 0; j < cases.size(); ++j)
       if (j != i) changed[j].segments.clear();
     changed[(i + 1) % cases.size()] = fold.ask(1, {1}, 70 + i);
-    const auto other = fold.predict(changed, gradients);
-    wrong += differing_case(*batch, i, *other, i);
-    if (!gradients) continue;
-    auto cotangents = smooth_cotangents(fold, changed);
-    cotangents[i] = weights[i];
-    wrong += differing_gradient(together[i], pull(*other, changed, cotangents).at(i));
+    wrong += batch.differing(i, changed, i);
   }
   return {wrong, ""};
 }

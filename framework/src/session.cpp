@@ -424,9 +424,10 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
                         std::to_string(recorded->segments()));
     const auto at = static_cast<std::size_t>(segment - 1);
     const auto& round = recorded->rounds[at];
-    const auto seen = [&](Index number) {  // after segment `number`, 0: the start
-      return std::make_shared<const Positions>(
-          number == 0 ? recorded->start : recorded->rounds[static_cast<std::size_t>(number - 1)].observed);
+    // After segment `number`; 0: the start, which is recorded as it was and not as it was seen.
+    const auto seen = [&](Index number) -> std::shared_ptr<const Positions> {
+      if (number == 0) return filled_start(task, observe_shape(recorded->start, params.observation, seed, 0));
+      return std::make_shared<const Positions>(recorded->rounds[static_cast<std::size_t>(number - 1)].observed);
     };
     request.shape = seen(segment - 1);
     if (segment > 1) {

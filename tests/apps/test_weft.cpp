@@ -26,6 +26,15 @@ std::string text_of(const std::filesystem::path& file) {
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 const std::string kTask = WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold.yaml";
+/// A fold of a coarse towel, planned with the simulator: seconds. Keys that are not here are up to the test.
+const std::string kTowelTask = "garment: " WEFT_SOURCE_DIR
+                               "/configs/garments/towel_coarse.yaml\n"
+                               "material: " WEFT_SOURCE_DIR
+                               "/configs/fabrics/basic.yaml\n"
+                               "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
+                               "predictor: {plugin: rollout}\n"
+                               "goal: {random: {min_distance_mm: 10}}\n"
+                               "settle: {max_frames: 30}\n";
 
 TEST(Program, HelpAndVersionExitWithZero) {
   const Outcome help = weft_command("--help");
@@ -75,16 +84,9 @@ TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {
 TEST(Program, ASavedConfigRepeatsTheRunBitForBit) {
   const Folder folder;
   const auto task =
-      folder.write("task.yaml", "garment: " WEFT_SOURCE_DIR
-                                "/configs/garments/towel_coarse.yaml\n"
-                                "material: " WEFT_SOURCE_DIR
-                                "/configs/fabrics/basic.yaml\n"
-                                "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
-                                "predictor: {plugin: rollout}\n"
-                                "optimiser: {plugin: rprop}\n"
-                                "planning: {instances: 2, iterations: 2, replan_iterations: 1, horizon: 12}\n"
-                                "goal: {random: {min_distance_mm: 10}}\n"
-                                "settle: {max_frames: 30}\n");
+      folder.write("task.yaml", kTowelTask +
+                                    "optimiser: {plugin: rprop}\n"
+                                    "planning: {instances: 2, iterations: 2, replan_iterations: 1, horizon: 12}\n");
   const auto run = [&](const std::filesystem::path& config, const char* out, const std::string& options) {
     const Outcome outcome =
         weft_command("run '" + config.string() + "' --quiet --out '" + (folder / out).string() + "' " + options);
@@ -108,18 +110,12 @@ TEST(Program, ASavedConfigRepeatsTheRunBitForBit) {
 TEST(Program, PlanAndEstimateAloneDoWhatTheSessionDid) {
   const Folder folder;
   const auto task =
-      folder.write("task.yaml", "garment: " WEFT_SOURCE_DIR
-                                "/configs/garments/towel_coarse.yaml\n"
-                                "material: " WEFT_SOURCE_DIR
-                                "/configs/fabrics/basic.yaml\n"
-                                "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
-                                "predictor: {plugin: rollout}\n"
-                                "planning: {instances: 1, iterations: 2, replan_iterations: 1, horizon: 8}\n"
-                                "estimation: {instances: 1, iterations: 1, later_iterations: 1}\n"
-                                "goal: {random: {min_distance_mm: 10}}\n"
-                                "settle: {max_frames: 30}\n"
-                                "knowledge: estimate\n"
-                                "seed: 12\n");
+      folder.write("task.yaml", kTowelTask +
+                                    "planning: {instances: 1, iterations: 2, replan_iterations: 1, horizon: 8}\n"
+                                    "estimation: {instances: 1, iterations: 1, later_iterations: 1}\n"
+                                    "observation: {noise_m: 0.001}\n"
+                                    "knowledge: estimate\n"
+                                    "seed: 12\n");
   const auto command = [&](const std::string& name, const std::string& options) {
     const Outcome outcome =
         weft_command(name + " '" + task.string() + "' --quiet --out '" + (folder / name).string() + "' " + options);
@@ -184,15 +180,8 @@ TEST(Program, EvaluatePhysicsWritesWhatItPrints) {
 
 TEST(Program, AblateComparesArmsAndResumes) {
   const Folder folder;
-  folder.write("task.yaml", "garment: " WEFT_SOURCE_DIR
-                            "/configs/garments/towel_coarse.yaml\n"
-                            "material: " WEFT_SOURCE_DIR
-                            "/configs/fabrics/basic.yaml\n"
-                            "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
-                            "predictor: {plugin: rollout}\n"
-                            "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n"
-                            "goal: {random: {min_distance_mm: 10}}\n"
-                            "settle: {max_frames: 30}\n");
+  folder.write("task.yaml",
+               kTowelTask + "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n");
   const auto file =
       folder.write("ablation.yaml",
                    "task: task.yaml\n"

@@ -1,0 +1,39 @@
+#pragma once
+#include <memory>
+#include <string>
+
+#include "context.hpp"
+#include "output.hpp"
+#include "weft/params.hpp"
+#include "weft/task.hpp"
+
+namespace weft::app {
+
+/// A config as a command needs it: its parameters, the task, and who runs it. What is wrong in the config shows here,
+/// before any work.
+/// @tparam Params with `task`, `seed` and `threads`, such as SessionParams.
+template <class Params>
+struct Prepared {
+  Prepared(Context& context, const std::string& file) : config(context.load(file)) {
+    resolved = read_params(config, params);
+    if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
+    registry = context.registry(config);
+    seed = static_cast<std::uint64_t>(params.seed);
+    host = context.host(registry, seed);
+    task = make_task(params.task, config, *host);
+  }
+  std::string provenance() const { return provenance_json(*registry, *host, seed); }
+  /// The resolved config for a result's folder, see self_contained().
+  ConfigNode saved_config(const std::filesystem::path& folder) const {
+    return self_contained(resolved, task, *registry, folder);
+  }
+
+  ConfigNode config, resolved;
+  Params params;
+  std::shared_ptr<const PluginRegistry> registry;
+  std::uint64_t seed = 0;
+  std::unique_ptr<Host> host;
+  Task task;
+};
+
+}  // namespace weft::app
