@@ -2,12 +2,12 @@
 #include <fstream>
 #include <iostream>
 #include <sstream>
-#include <thread>
 
 #include "context.hpp"
 #include "output.hpp"
 #include "page.hpp"
 #include "weft/ablation.hpp"
+#include "weft/physics.hpp"
 #include "weft/session.hpp"
 
 namespace weft::app {
@@ -27,9 +27,19 @@ std::string slug(const std::string& name) {
 /// Makes everything that a session of this arm makes first, and drops it: what cannot work shows before any work
 /// starts.
 /// @return the arm's config, independent of where its files lie.
-ConfigNode rehearse(const AblationArm& arm, std::uint64_t seed, std::shared_ptr<const PluginRegistry> registry,
+ConfigNode rehearse(const AblationPlan& plan, const AblationArm& arm, std::shared_ptr<const PluginRegistry> registry,
                     const std::filesystem::path& folder) {
+  const std::uint64_t seed = plan.seeds.front();
   try {
+    if (plan.measure == "physics") {
+      PhysicsExperimentParams params;
+      const ConfigNode resolved = read_params(arm.config, params);
+      const auto host = make_host(registry, {.threads = 1, .seed = seed});
+      const Task task = make_task(params.task, arm.config, *host);
+      host->create<Simulator>(task.simulator);
+      if (!params.other.is_null()) host->create<Simulator>(params.other);
+      return self_contained(resolved, task, *registry, folder);
+    }
     SessionParams params;
     const ConfigNode resolved = read_params(arm.config, params);
     const auto host = make_host(registry, {.threads = 1, .seed = seed});
@@ -51,7 +61,7 @@ int ablate(const Context& context, const std::string& file) {
   const auto registry = context.registry(plan.arms.front().config);
   const auto folder = output_folder(context, std::filesystem::path(file).stem().string());
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
-    ConfigNode saved = rehearse(plan.arms[a], plan.seeds.front(), registry, folder);
+    ConfigNode saved = rehearse(plan, plan.arms[a], registry, folder);
     if (saved.at("threads").as_int() == 0) saved = saved.with("threads", ConfigNode::integer(1));
     write_text(folder / ("arm" + std::to_string(a) + "-" + slug(plan.arms[a].name) + ".yaml"), saved.to_yaml());
   }
@@ -64,10 +74,18 @@ int ablate(const Context& context, const std::string& file) {
   options.jobs = host->threads();
   options.registry = registry;
   options.cancel = context.cancel_flag();
+  if (plan.measure == "physics") options.runner = run_physics_cell;
   options.progress = [&](const AblationRow& row, std::size_t done, std::size_t total) {
     std::ostringstream line;
-    line << done << '/' << total << "  " << plan.arms[row.arm].name << ", seed " << row.seed << ": ";
-    if (row.failure.empty()) {
+    line << done << '/' << total << "  " << plan.arms[row.arm].name << ", "
+         << (plan.cases.empty() ? "seed " + std::to_string(row.seed) : plan.cases[row.seed]) << ": ";
+    if (row.failure.empty() && plan.measure == "physics") {
+      for (const auto& [name, value] : row.outcome.metrics) {
+        char text[40];
+        std::snprintf(text, sizeof text, " %.4g; ", value);
+        line << name.substr(name.find(": ") + 2) << text;
+      }
+    } else if (row.failure.empty()) {
       char text[80];
       std::snprintf(text, sizeof text, "%.1f mm, plans %.1f s", row.outcome.metrics.front().second, [&] {
         for (const auto& [name, value] : row.outcome.metrics)
@@ -80,15 +98,16 @@ int ablate(const Context& context, const std::string& file) {
     }
     context.say(line.str());
   };
-  context.say(std::to_string(plan.arms.size()) + " arms, " + std::to_string(plan.seeds.size()) + " seeds, " +
-              std::to_string(options.jobs) + " at a time");
+  context.say(std::to_string(plan.arms.size()) + " arms, " + std::to_string(plan.seeds.size()) +
+              (plan.cases.empty() ? " seeds, " : " cases, ") + std::to_string(options.jobs) + " at a time");
   const auto rows = run_ablation(plan, options);
   const std::string json = ablation_json(plan, rows);
   write_text(folder / "ablation.csv", ablation_csv(plan, rows));
   write_text(folder / "ablation.json", json);
   if (context.json) std::cout << json;
-  for (const char* metric : {"error_mm", "first_plan_loss", "evaluations", "cpu_seconds"})
-    context.say(ablation_table(plan, rows, metric));
+  std::vector<std::string> metrics = {"error_mm", "first_plan_loss", "evaluations", "cpu_seconds"};
+  if (plan.measure == "physics") metrics = ablation_metrics(rows);
+  for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));
   write_page(context, folder);
   context.say("results in " + folder.string());
   const bool complete = rows.size() == plan.arms.size() * plan.seeds.size();
@@ -99,7 +118,8 @@ int ablate(const Context& context, const std::string& file) {
 }  // namespace
 
 void register_ablate(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("ablate", "Compare sessions over a grid of settings and seeds; resumable");
+  CLI::App* command =
+      app.add_subcommand("ablate", "Compare sessions, or simulators, over a grid of settings; resumable");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Ablation file, such as configs/experiments/optimisers.yaml")->required();

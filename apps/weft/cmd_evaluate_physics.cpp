@@ -15,20 +15,6 @@
 namespace weft::app {
 namespace {
 
-/// configs/experiments/physics.yaml: a task, the same simulator at finer steps, the suite's sizes.
-struct PhysicsExperimentParams : SessionParams {
-  ConfigNode finer, other;
-  PhysicsParams physics;
-
-  template <class Visitor>
-  void visit(Visitor& v) {
-    SessionParams::visit(v);
-    v("finer", finer, PluginSlot{"simulator"}, "The simulator at finer steps: shows what depends on the step.");
-    v("other", other, PluginSlot{"simulator"}, "Another simulator, for `paired folds`.");
-    v.group("physics", physics, "The physics suite.");
-  }
-};
-
 std::string to_json(const std::vector<PhysicsRow>& rows) {
   nlohmann::ordered_json list = nlohmann::ordered_json::array();
   for (const auto& r : rows) {
@@ -78,7 +64,7 @@ int evaluate(Context& context, const std::string& file) {
   };
   std::vector<SimulatorVariant> variants{variant("default", task->simulator)};
   if (!given.params.finer.is_null()) variants.push_back(variant("finer", given.params.finer));
-  std::vector<SimulatorVariant> pair{variant("default", task->simulator)};
+  std::vector<SimulatorVariant> pair{variants.front()};
   if (!given.params.other.is_null()) pair.push_back(variant("other", given.params.other));
   std::vector<std::vector<PhysicsRow>> results(cases.size());
   std::mutex printing;

@@ -4,7 +4,6 @@
 #include <atomic>
 #include <cmath>
 #include <cstdio>
-#include <ctime>
 #include <fstream>
 #include <map>
 #include <mutex>
@@ -12,6 +11,8 @@
 #include <sstream>
 #include <thread>
 
+#include "cpu_time.hpp"
+#include "weft/physics.hpp"
 #include "weft/session.hpp"
 
 namespace weft {
@@ -33,12 +34,6 @@ std::string hex(std::uint64_t value) {
   char text[20];
   std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(value));
   return text;
-}
-
-double thread_cpu_seconds() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
 }
 
 /// A level: what it is called and what it changes.
@@ -219,15 +214,6 @@ double mean_of(const std::vector<double>& values) {
   return sum / static_cast<double>(values.size());
 }
 
-/// Every metric's name, in the order of first appearance.
-std::vector<std::string> metric_names(const std::vector<AblationRow>& rows) {
-  std::vector<std::string> names;
-  for (const auto& row : rows)
-    for (const auto& [name, value] : row.outcome.metrics)
-      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
-  return names;
-}
-
 double metric_of(const AblationRow& row, const std::string& name) {
   for (const auto& [key, value] : row.outcome.metrics)
     if (key == name) return value;
@@ -304,6 +290,15 @@ std::string csv_number(double value) {
   return text;
 }
 
+std::vector<std::string> physics_case_names(const ConfigNode& config) {
+  PhysicsExperimentParams params;
+  read_params(config, params);
+  std::vector<std::string> names;
+  for (const auto& one : physics_cases(params.physics, std::make_shared<const Task>()))
+    names.push_back(one.test + (one.name.empty() ? "" : ", " + one.name));
+  return names;
+}
+
 }  // namespace
 
 AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_seed) {
@@ -311,7 +306,10 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
   read_params(config, params);
   if (params.task.empty()) config.fail("task is missing; name the session config that the arms start from");
   if (params.factors.is_null()) config.fail("factors is missing");
-  if (params.seeds.is_null()) config.fail("seeds is missing; such as {first: 1, count: 10}");
+  const bool physics = params.measure == "physics";
+  if (!physics && params.seeds.is_null()) config.fail("seeds is missing; such as {first: 1, count: 10}");
+  if (physics && (!params.seeds.is_null() || first_seed != nullptr))
+    config.fail("has seeds, but measure: physics runs the cases of the suite; physics.folds.first_seed is the folds'");
   ConfigNode base = ConfigNode::load(params.task).without("seed");
   for (const auto& [key, value] : read_changes(params.set)) base = base.with(key, value);
   const auto factors = read_factors(params.factors);
@@ -319,8 +317,9 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
 
   AblationPlan plan;
   plan.description = params.description;
+  plan.measure = params.measure;
   plan.resamples = params.resamples;
-  plan.seeds = read_seeds(params.seeds, first_seed);
+  if (!physics) plan.seeds = read_seeds(params.seeds, first_seed);
   std::size_t count = 1;
   for (const auto& factor : factors) {
     plan.factors.push_back(factor.name);
@@ -343,10 +342,17 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
     }
     if (arm.config.has("seed")) config.fail("sets `seed` of the sessions; `seeds` does that");
     // A wrong key of a session shows here, before any work.
-    SessionParams session;
-    read_params(arm.config, session);
+    if (physics) {
+      const auto cases = physics_case_names(arm.config);
+      if (a == 0) plan.cases = cases;
+      if (cases != plan.cases) config.fail("has arms with different cases; factors must not change them");
+    } else {
+      SessionParams session;
+      read_params(arm.config, session);
+    }
     plan.arms.push_back(std::move(arm));
   }
+  for (std::size_t i = 0; i < plan.cases.size(); ++i) plan.seeds.push_back(i);
   return plan;
 }
 
@@ -359,6 +365,38 @@ AblationOutcome run_session_cell(const ConfigNode& config, Host& host) {
   const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
   AblationOutcome outcome = session_outcome(result);
   outcome.metrics.emplace_back("cpu_seconds", cpu_seconds);
+  return outcome;
+}
+
+AblationOutcome run_physics_cell(const ConfigNode& config, Host& host) {
+  PhysicsExperimentParams params;
+  read_params(config, params);
+  const auto task = std::make_shared<const Task>(make_task(params.task, config, host));
+  const auto cases = physics_cases(params.physics, task);
+  const PhysicsCase& one = cases.at(static_cast<std::size_t>(params.seed));
+  const auto variant = [&](const char* name, const ConfigNode& slot) {
+    return SimulatorVariant{name, [&host, slot] { return host.create<Simulator>(slot); }};
+  };
+  std::vector<SimulatorVariant> variants{variant("arm", task->simulator)};
+  const bool against_itself = task->simulator.to_yaml() == params.other.to_yaml();
+  if (one.test == "paired folds" && !params.other.is_null() && !against_itself)
+    variants.push_back(variant("other", params.other));
+
+  AblationOutcome outcome;
+  const auto worst = [&](const std::string& name, double value) {
+    for (auto& [known, largest] : outcome.metrics)
+      if (known == name) return void(largest = std::max(largest, value));
+    outcome.metrics.emplace_back(name, value);
+  };
+  double within = 1.0;
+  for (const PhysicsRow& row : one.run(variants)) {
+    if (row.variant != "arm") continue;
+    worst(row.test + ": " + row.quantity + (row.reference == 0.0 ? "" : ", error"), row.error);
+    if (row.cpu_ms_per_frame > 0.0) worst(row.test + ": CPU ms per frame", row.cpu_ms_per_frame);
+    if (!row.passed) within = 0.0;
+  }
+  outcome.metrics.emplace_back(one.test + ": within bounds", within);
+  outcome.paired_by = one.test + ", " + one.name;
   return outcome;
 }
 
@@ -501,16 +539,26 @@ AblationStatistics ablation_statistics(const std::vector<double>& values, std::i
   return s;
 }
 
+std::vector<std::string> ablation_metrics(const std::vector<AblationRow>& rows) {
+  std::vector<std::string> names;
+  for (const auto& row : rows)
+    for (const auto& [name, value] : row.outcome.metrics)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  return names;
+}
+
 std::string ablation_csv(const AblationPlan& plan, const std::vector<AblationRow>& rows) {
-  const auto names = metric_names(rows);
+  const auto names = ablation_metrics(rows);
   std::string text;
   for (const auto& factor : plan.factors) text += csv_field(factor) + ",";
-  text += "seed,status";
+  text += plan.cases.empty() ? "seed,status" : "seed,case,status";
   for (const auto& name : names) text += "," + csv_field(name);
   text += ",failure\n";
   for (const auto& row : rows) {
     for (const auto& level : plan.arms[row.arm].levels) text += csv_field(level) + ",";
-    text += std::to_string(row.seed) + "," + (row.failure.empty() ? "done" : "failed");
+    text += std::to_string(row.seed) + ",";
+    if (!plan.cases.empty()) text += csv_field(plan.cases.at(row.seed)) + ",";
+    text += (row.failure.empty() ? "done" : "failed");
     for (const auto& name : names) text += "," + csv_number(metric_of(row, name));
     text += "," + csv_field(row.failure) + "\n";
   }
@@ -518,9 +566,10 @@ std::string ablation_csv(const AblationPlan& plan, const std::vector<AblationRow
 }
 
 std::string ablation_json(const AblationPlan& plan, const std::vector<AblationRow>& rows) {
-  const auto names = metric_names(rows);
+  const auto names = ablation_metrics(rows);
   const Table table(rows);
   ordered_json json{{"description", plan.description}, {"factors", plan.factors}, {"seeds", plan.seeds}};
+  if (!plan.cases.empty()) json["cases"] = plan.cases;
   json["complete"] = rows.size() == plan.seeds.size() * plan.arms.size();
   json["arms"] = ordered_json::array();
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {

@@ -3,12 +3,12 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <limits>
 #include <numbers>
 
+#include "cpu_time.hpp"
 #include "delaunay.hpp"
 #include "weft/error.hpp"
 #include "weft/random.hpp"
@@ -547,7 +547,7 @@ void add_crease(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const s
     }
   if (task) {
     cases.push_back(
-        {"garment crease", task->garment->name, [=](const std::vector<SimulatorVariant>& variants) {
+        {"garment crease", "default fold", [=](const std::vector<SimulatorVariant>& variants) {
            const Task& t = *task;
            const auto simulator = variants[0].make();
            const MaterialProperties q = MaterialProperties::Constant(0.5);
@@ -832,30 +832,41 @@ std::vector<PhysicsRow> random_folds(const SimulatorVariant& variant, const std:
   return rows;
 }
 
-/// The same fold, fabric and hands in two simulators: how far apart the settled shapes are. The note has what each
-/// cost.
-PhysicsRow paired_fold(const std::vector<SimulatorVariant>& variants, const std::string& name, const Task& task,
-                       const PhysicsParams::Folds& p, std::uint64_t seed) {
-  if (variants.size() < 2) throw Error("paired folds need a second simulator, `other`");
+/// The same fold, fabric and hands in each simulator, of which there are one or two: what each makes of it, and how far
+/// apart the settled shapes are.
+std::vector<PhysicsRow> paired_fold(const std::vector<SimulatorVariant>& variants, const std::string& name,
+                                    const Task& task, const PhysicsParams::Folds& p, std::uint64_t seed) {
   const RandomFold fold = random_fold(task, p, seed);
-  std::array<Positions, 2> shapes;
-  std::string note;
-  for (std::size_t k = 0; k < 2; ++k) {
-    const auto simulator = variants[k].make();
-    const auto start = std::chrono::steady_clock::now();
-    const FoldResult result = simulate_fold(*simulator, task, fold.material, fold.controls);
-    if (!result.released) simulator->release(), simulator->settle(task.settle);
-    const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
-    shapes[k] = simulator->positions();
-    note += (k == 0 ? "" : "; ") + variants[k].name +
-            text(" %.1f ms/frame", 1e3 * seconds.count() / static_cast<double>(simulator->frame())) +
-            text(", %.0f crossings", static_cast<double>(count_intersections(shapes[k], task.garment->faces)));
+  std::vector<Positions> shapes;
+  std::vector<PhysicsRow> rows;
+  const auto add = [&](const SimulatorVariant& variant, const char* quantity, double measured, double bound) {
+    rows.push_back(row("paired folds", variant, name, quantity, 0.0, measured, measured, bound));
+    rows.back().by_seed = {{seed, measured}};
+  };
+  for (const SimulatorVariant& variant : variants) {
+    const auto simulator = variant.make();
+    const double before = thread_cpu_seconds();
+    FoldResult result = simulate_fold(*simulator, task, fold.material, fold.controls);
+    if (!result.released) {
+      simulator->release();
+      result.settle = simulator->settle(task.settle);
+    }
+    const double ms = 1e3 * (thread_cpu_seconds() - before) / static_cast<double>(simulator->frame());
+    shapes.push_back(simulator->positions());
+    const double ground = task.scene.ground_height.value_or(-1e300);
+    add(variant, "edge/triangle crossings",
+        static_cast<double>(count_intersections(shapes.back(), task.garment->faces)), 0.0);
+    add(variant, "below ground m", std::max(0.0, ground - shapes.back().col(2).minCoeff()), 0.0);
+    add(variant, "settled speed m/s", result.settle.max_speed, task.settle.speed);
+    rows.back().cpu_ms_per_frame = ms;
+    rows.back().note = text("CPU %.1f ms/frame", ms);
   }
   // Two models of cloth: no bound follows from either. A fold gone another way would be off by decimetres.
-  const double apart = mean_distance_mm(shapes[0], shapes[1]);
-  PhysicsRow result = row("paired folds", variants[1], name, "mean vertex distance mm", 0.0, apart, apart, 100.0, note);
-  result.by_seed = {{seed, apart}};
-  return result;
+  if (variants.size() > 1) {
+    add(variants[0], "mean vertex distance mm", mean_distance_mm(shapes[0], shapes[1]), 100.0);
+    rows.back().note = "from " + variants[1].name;
+  }
+  return rows;
 }
 
 void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const std::shared_ptr<const Task>& task) {
@@ -873,7 +884,7 @@ void add_folds(std::vector<PhysicsCase>& cases, const PhysicsParams& p, const st
   for (std::uint64_t seed = first; seed < first + static_cast<std::uint64_t>(p.folds.paired); ++seed) {
     const std::string name = "seed " + std::to_string(seed);
     cases.push_back({"paired folds", name, [=](const std::vector<SimulatorVariant>& variants) {
-                       return std::vector<PhysicsRow>{paired_fold(variants, name, *task, p.folds, seed)};
+                       return paired_fold(variants, name, *task, p.folds, seed);
                      }});
   }
   // The settled shape of the default fold.

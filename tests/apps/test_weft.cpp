@@ -215,7 +215,54 @@ TEST(Program, AblateComparesArmsAndResumes) {
   EXPECT_THAT(wrong.output, AllOf(HasSubstr("arm 'no'"), HasSubstr("nearest: rprop")));
 }
 
+TEST(Program, AblateComparesSimulatorsOnThePhysicsSuite) {
+  const Folder folder;
+  folder.write("suite.yaml", kTowelTask +
+                                 "physics: {tests: [free fall, paired folds], folds: {count: 0, paired: 1}}\n"
+                                 "other: {plugin: cloth}\n");
+  const auto file = folder.write("ablation.yaml",
+                                 "task: suite.yaml\n"
+                                 "measure: physics\n"
+                                 "factors:\n"
+                                 "  simulator:\n"
+                                 "    cloth: {simulator: {plugin: cloth}}\n"
+                                 "    bullet: {simulator: {plugin: bullet}}\n");
+  const std::string command = "ablate '" + file.string() + "' --out '" + (folder / "out").string() + "' --jobs 2 ";
+  const Outcome first = weft_command(command);
+  ASSERT_EQ(first.code, 0) << first.output;
+  EXPECT_THAT(first.output, AllOf(HasSubstr("2 arms, 2 cases"), HasSubstr("4/4  "), HasSubstr("mean vertex distance")));
+  const auto json = nlohmann::json::parse(text_of(folder / "out" / "ablation.json"));
+  EXPECT_EQ(json["cases"], (nlohmann::json{"paired folds, seed 1", "free fall, irregular sheet"}));
+  for (const auto& arm : json["arms"]) {
+    const auto& metrics = arm["metrics"];
+    EXPECT_EQ(metrics["free fall: within bounds"]["mean"], 1.0) << arm;
+    EXPECT_EQ(metrics["paired folds: edge/triangle crossings"]["mean"], 0.0) << arm;
+    EXPECT_GT(metrics["paired folds: CPU ms per frame"]["mean"], 0.0) << arm;
+  }
+  // Only another simulator than `other` has a distance to it.
+  const auto distance = [&](int arm) { return json["arms"][arm]["metrics"]["paired folds: mean vertex distance mm"]; };
+  EXPECT_EQ(distance(0)["n"], 0);
+  EXPECT_EQ(distance(1)["n"], 1);
+  EXPECT_GT(distance(1)["mean"], 0.01);
+  EXPECT_LT(distance(1)["mean"], 100.0);
+
+  const std::string csv = text_of(folder / "out" / "ablation.csv");
+  EXPECT_THAT(weft_command(command).output, Not(HasSubstr("4/4  ")));  // nothing ran
+  EXPECT_EQ(text_of(folder / "out" / "ablation.csv"), csv);
+  std::filesystem::remove_all(folder / "out" / "cells");
+  const Outcome broken = weft_command(command + "--set factors.simulator.bullet.simulator.plugin=bulet");
+  EXPECT_EQ(broken.code, 2);
+  EXPECT_THAT(broken.output, AllOf(HasSubstr("arm 'bullet'"), HasSubstr("bulet")));
+}
+
 TEST(Program, ShippedAblationsAreRead) {
+  const AblationPlan simulators =
+      read_ablation(ConfigNode::load(WEFT_SOURCE_DIR "/configs/experiments/simulators.yaml"));
+  EXPECT_EQ(simulators.arms.size(), 2u);
+  EXPECT_EQ(std::count_if(simulators.cases.begin(), simulators.cases.end(),
+                          [](const std::string& name) { return name.starts_with("paired folds, "); }),
+            50);
+
   for (const char* name : {"optimisers", "optimisers_coarse", "trajectories", "instances", "horizon", "predictor"}) {
     const std::filesystem::path file = std::filesystem::path(WEFT_SOURCE_DIR) / "configs/experiments" / name;
     const AblationPlan plan = read_ablation(ConfigNode::load(file.string() + ".yaml"));

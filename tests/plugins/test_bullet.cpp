@@ -111,7 +111,7 @@ TEST(BulletPhysics, CantileverDropsAsTheHeavyElastica) {
   for (const char* name : {"20 mm irregular G=8", "5 mm irregular G=8 nominal fabric"}) {
     const auto coarse = physics("elastica", name, "link_step: 0.5"),
                fine = physics("elastica", name, "link_step: 0.25");
-    EXPECT_LT(coarse.error, 0.15) << name;
+    EXPECT_LT(coarse.error, 0.08) << name;
     EXPECT_NEAR(fine.measured / coarse.measured, 1.0, 0.06) << name;
   }
 }

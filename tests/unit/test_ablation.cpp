@@ -132,6 +132,37 @@ TEST(AblationPlan, RefusesWithFileLineAndTheNearestName) {
               HasSubstr("none.yaml"));
 }
 
+TEST(AblationPlan, PhysicsCasesTakeThePlaceOfSeeds) {
+  using testing::HasSubstr;
+  const Folder folder;
+  folder.write("physics.yaml", std::string(kTask) + "physics: {tests: [rest, free fall]}\n");
+  const auto plan = [&](const std::string& rest, const std::uint64_t* first = nullptr) {
+    return read_ablation(
+        ConfigNode::load(folder.write("ablation.yaml", "task: physics.yaml\nmeasure: physics\n" + rest)), first);
+  };
+  const std::string simulators =
+      "factors: {simulator: {a: {simulator: {plugin: cloth}}, b: {simulator: {plugin: b}}}}\n";
+  const auto two = plan(simulators);
+  EXPECT_EQ(two.arms.size(), 2u);
+  EXPECT_EQ(two.seeds, (std::vector<std::uint64_t>{0, 1}));
+  ASSERT_EQ(two.cases.size(), 2u);
+  EXPECT_TRUE(two.cases[0].starts_with("free fall, "));
+  EXPECT_TRUE(two.cases[1].starts_with("rest, "));
+  EXPECT_EQ(plan("set: {physics: {tests: [folds], folds: {count: 40}}}\n" + simulators).cases.back(),
+            "folds, seeds 31 to 40");
+  AblationRow row{1, 1, "", {{{"rest: motion m", 1e-7}}, "rest"}};
+  EXPECT_EQ(ablation_csv(two, {row}),
+            "simulator,seed,case,status,rest: motion m,failure\nb,1,\"" + two.cases[1] + "\",done,1e-07,\n");
+
+  const auto refusal = [&](const std::string& rest) { return message_of<ConfigError>([&] { plan(rest); }); };
+  EXPECT_THAT(refusal(simulators + "seeds: [1]\n"), HasSubstr("runs the cases of the suite"));
+  EXPECT_THAT(refusal("factors: {physics.fold.count: [1, 2]}\n"), HasSubstr("nearest: folds"));
+  EXPECT_THAT(refusal("factors: {t: {a: {physics.tests: [rest]}, b: {physics.tests: [free fall]}}}\n"),
+              HasSubstr("different cases"));
+  const std::uint64_t first = 3;
+  EXPECT_THROW(plan(simulators, &first), ConfigError);
+}
+
 TEST(Ablation, RowsComeInOrderWhateverTheNumberOfJobs) {
   const Files s;
   const auto plan = s.plan(kTwoFactors);

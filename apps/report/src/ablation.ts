@@ -16,7 +16,8 @@ const nameOf = (metric: string) => label(kUnits.reduce((text, [ending]) => text.
 const heading = (metric: string) => `${nameOf(metric)}${unitOf(metric) ? `, ${unitOf(metric)}` : ''}`;
 
 export function ablationPage(page: PageData): HTMLElement {
-  const { arms, factors, seeds, complete, description } = page.ablation!;
+  const { arms, factors, seeds, cases, complete, description } = page.ablation!;
+  const cellName = (seed: number) => cases?.[seed] ?? `seed ${seed}`;
   const metrics = [...new Set(arms.flatMap((arm) => Object.keys(arm.metrics)))];
   const levels = new Map(factors.map((factor) => [factor, [...new Set(arms.map((arm) => arm.levels[factor]))]]));
   const isBaseline = (arm: Arm) => arms.some((other) => other.baseline === arm.name);
@@ -33,7 +34,7 @@ export function ablationPage(page: PageData): HTMLElement {
 
   const digits = new Map(metrics.map((name) => {
     const largest = Math.max(...arms.map((arm) => Math.abs(arm.metrics[name]?.mean ?? 0)));
-    return [name, largest >= 1000 ? 0 : largest >= 100 ? 1 : 2];
+    return [name, largest >= 1000 ? 0 : largest >= 100 ? 1 : largest >= 0.1 || largest === 0 ? 2 : 1 - Math.floor(Math.log10(largest))];
   }));
   const text = (value: Statistics | undefined, name: string, sign = false) => {
     if (!value || value.mean === null) return '–';
@@ -49,7 +50,7 @@ export function ablationPage(page: PageData): HTMLElement {
       id: `factor ${factor}`, head: factor, value: (arm) => arm.levels[factor], cell: (arm) => chip(factor, arm.levels[factor]),
     })),
     { id: 'done', head: 'n', value: (arm) => arm.done, numeric: true },
-    { id: 'failed', head: 'Failed', value: (arm) => arm.failed.length, cell: (arm) => h('span', { title: arm.failed.map((one) => `seed ${one.seed}: ${one.failure}`).join('\n') }, String(arm.failed.length)), numeric: true },
+    { id: 'failed', head: 'Failed', value: (arm) => arm.failed.length, cell: (arm) => h('span', { title: arm.failed.map((one) => `${cellName(one.seed)}: ${one.failure}`).join('\n') }, String(arm.failed.length)), numeric: true },
     ...metrics.flatMap((name) => ([
       { id: name, metric: name, head: heading(name), numeric: true, value: (arm) => arm.metrics[name]?.mean ?? NaN, cell: (arm) => text(arm.metrics[name], name) },
       { id: `median ${name}`, metric: name, extra: true, head: 'median', numeric: true, value: (arm) => arm.metrics[name]?.median ?? NaN, cell: (arm) => fixed(arm.metrics[name]?.median, digits.get(name)) },
@@ -107,13 +108,13 @@ export function ablationPage(page: PageData): HTMLElement {
   };
   const legend = h('ul', { class: 'key' });
   refresh();
-  const failures = arms.flatMap((arm) => arm.failed.map((one) => `${arm.name}, seed ${one.seed}: ${one.failure}`));
+  const failures = arms.flatMap((arm) => arm.failed.map((one) => `${arm.name}, ${cellName(one.seed)}: ${one.failure}`));
   const cells = arms.length * seeds.length;
   return h('div', {},
-    title(page, description || 'Ablation', [`${arms.length} arms`, `${seeds.length} seeds`]),
+    title(page, description || 'Ablation', [`${arms.length} arms`, `${seeds.length} ${cases ? 'cases' : 'seeds'}`]),
     complete ? null : h('p', { class: 'warning', role: 'note' }, 'Warning: not all cells have run; the same command finishes the rest.'),
     failures.length ? h('p', { class: 'warning', role: 'note' }, `Warning: ${failures.length} of ${cells} cells failed, and are left out of means and differences; the reasons are at the end of the page.`) : null,
-    h('div', { class: 'figures' }, h('div', { class: 'wide' }, section('arms-section', 'Arms', 'Mean and its 95 % interval over the seeds; differences are paired, seed by seed, against the arm that is like it but for the baseline’s level. Click a heading to sort.',
+    h('div', { class: 'figures' }, h('div', { class: 'wide' }, section('arms-section', 'Arms', `Mean and its 95 % interval over the ${cases ? 'cases' : 'seeds'}; differences are paired, one by one, against the arm that is like it but for the baseline’s level. Click a heading to sort.`,
       h('label', { class: 'check' }, allBox, 'all that was measured'), table.element))),
     metric ? h('div', { class: 'cases', style: 'margin-top:1.5rem' },
       choice('metric', 'Figures of', metrics, metric, heading, (entry) => (metric = entry)),

@@ -114,7 +114,7 @@ export interface PhysicsRow {
   by_seed?: [number, number][];
 }
 export interface PhysicsData { comparisons: number; failed: number; rows: PhysicsRow[] }
-export interface AblationData { description: string; factors: string[]; seeds: number[]; complete: boolean; arms: Arm[] }
+export interface AblationData { description: string; factors: string[]; seeds: number[]; /** What the seeds stand for, where they count cases. */ cases?: string[]; complete: boolean; arms: Arm[] }
 
 export interface CaseShapes {
   /** Final shapes as what they are off from their goals ... */

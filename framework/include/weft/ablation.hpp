@@ -14,9 +14,9 @@
 namespace weft {
 
 /// An ablation file: a session config, factors whose levels change it, and the seeds that every combination is run
-/// with.
+/// with. Or a physics experiment, factors, and the cases of its suite.
 struct AblationParams {
-  std::string description;
+  std::string description, measure = "session";
   std::filesystem::path task;
   ConfigNode set, factors, baseline, seeds;
   std::int64_t resamples = 10000;
@@ -24,7 +24,10 @@ struct AblationParams {
   template <class Visitor>
   void visit(Visitor& v) {
     v("description", description, "What is compared, for people.");
-    v("task", task, "Session config that every arm starts from.");
+    v("measure", measure, choice({"session", "physics"}),
+      "What a cell runs. session: a whole session; physics: a case of the physics suite in the arm's simulator, whose "
+      "paired folds are compared with `other`.");
+    v("task", task, "Session config, or physics experiment, that every arm starts from.");
     v("set", set, "Keys of the session config, dotted or nested, that every arm changes: {planning.iterations: 80}.");
     v("factors", factors,
       "What is compared, by name. A list holds values of the session key that the factor is called after; a mapping "
@@ -34,7 +37,7 @@ struct AblationParams {
       "{factor: level}: each arm is compared with the arm that has these levels and is like it otherwise; default: the "
       "first "
       "level of the first factor.");
-    v("seeds", seeds, "A list, or {first: 1, count: 10}.");
+    v("seeds", seeds, "A list, or {first: 1, count: 10}. Not with measure: physics, whose cases count from 0.");
     v("resamples", resamples, range(100, 1e6), "Of the bootstrap.");
   }
 };
@@ -48,14 +51,16 @@ struct AblationArm {
 };
 
 struct AblationPlan {
-  std::string description;
+  std::string description, measure;
   std::vector<std::string> factors;
   std::vector<AblationArm> arms;
   std::vector<std::uint64_t> seeds;
+  std::vector<std::string> cases;  ///< [seeds], names; empty: seeds have none
   std::int64_t resamples = 10000;
 };
 
-/// @param config as AblationParams; keys of the sessions are not checked here, but every arm's session config is read.
+/// @param config as AblationParams; every arm's config is read. With measure: physics the cases are those of the first
+/// arm. @throws ConfigError also where another arm has other cases.
 /// @param first_seed replaces the first seed of {first, count}. @throws ConfigError with file and line.
 WEFT_API AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_seed = nullptr);
 
@@ -79,6 +84,9 @@ struct AblationRow {
 using AblationRunner = std::function<AblationOutcome(const ConfigNode& session, Host& host)>;
 WEFT_API AblationOutcome session_outcome(const SessionResult& result);
 WEFT_API AblationOutcome run_session_cell(const ConfigNode& session, Host& host);
+/// Runs case number `seed` of a physics experiment in its `simulator`. Metrics, named "test: quantity": the error as
+/// its bound counts it, the largest where a case has several; and "test: within bounds", 1 if all of the case are.
+WEFT_API AblationOutcome run_physics_cell(const ConfigNode& experiment, Host& host);
 
 struct AblationOptions {
   std::filesystem::path folder;  ///< rows go into folder/cells
@@ -112,6 +120,8 @@ WEFT_API AblationStatistics ablation_statistics(const std::vector<double>& value
 WEFT_API std::string ablation_csv(const AblationPlan& plan, const std::vector<AblationRow>& rows);
 /// Per arm and metric: statistics, and those of the paired differences to the baseline over the seeds that both ran.
 WEFT_API std::string ablation_json(const AblationPlan& plan, const std::vector<AblationRow>& rows);
+/// Names of all metrics, in the order of first appearance.
+WEFT_API std::vector<std::string> ablation_metrics(const std::vector<AblationRow>& rows);
 /// A table for people of one metric, over the arms.
 WEFT_API std::string ablation_table(const AblationPlan& plan, const std::vector<AblationRow>& rows,
                                     const std::string& metric);

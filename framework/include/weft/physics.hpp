@@ -7,6 +7,7 @@
 
 #include "weft/params.hpp"
 #include "weft/random_controls.hpp"
+#include "weft/session.hpp"
 #include "weft/simulator.hpp"
 #include "weft/task.hpp"
 
@@ -33,6 +34,7 @@ struct PhysicsRow {
   std::string note;
   /// Of random folds: a seed each, and what it measured; `measured` is the worst of them.
   std::vector<std::pair<std::uint64_t, double>> by_seed;
+  double cpu_ms_per_frame = 0.0;  ///< of a paired fold's simulator, in the row of its settled speed; else 0
 };
 
 struct PhysicsParams {
@@ -77,14 +79,29 @@ struct PhysicsParams {
   }
 };
 
+/// configs/experiments/physics.yaml: a task, the same simulator at finer steps, the suite's sizes.
+struct PhysicsExperimentParams : SessionParams {
+  ConfigNode finer, other;
+  PhysicsParams physics;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    SessionParams::visit(v);
+    v("finer", finer, PluginSlot{"simulator"}, "The simulator at finer steps: shows what depends on the step.");
+    v("other", other, PluginSlot{"simulator"}, "Another simulator, for `paired folds`.");
+    v.group("physics", physics, "The physics suite.");
+  }
+};
+
 /// One case of the suite, independent of the others.
 struct PhysicsCase {
   std::string test, name;
   /// @param variants the first is the one under test; the others are its finer steps, for what must not depend on them.
   std::function<std::vector<PhysicsRow>(const std::vector<SimulatorVariant>& variants)> run;
 };
-/// @param task optional: adds the crease of the task's fold, random folds and what its material properties do. @throws
-/// ConfigError for an unknown test name.
+/// @param task optional: adds the crease of the task's fold, random folds and what its material properties do. Only the
+/// cases' run() looks into it: without running, an empty Task gives the same list.
+/// @throws ConfigError for an unknown test name.
 WEFT_API std::vector<PhysicsCase> physics_cases(const PhysicsParams& params,
                                                 std::shared_ptr<const Task> task = nullptr);
 WEFT_API std::vector<std::string> physics_test_names();
