@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <span>
 
 namespace weft::bullet {
 namespace {
@@ -19,7 +20,9 @@ constexpr double kRise = 0.05;
 constexpr double kKeep = 0.25;
 // Times the approach in a substep: a pair this close is a contact. Corrections move vertices further than predicted.
 constexpr double kLookAhead = 3.0;
-constexpr double kSlack = 2e-7;  // m, so that rounding wakes no pair too late
+constexpr double kSlack = 2e-7;       // m, so that rounding wakes no pair too late
+constexpr double kTouching = 1e-9;    // m: closer than this a pair has no normal
+constexpr double kCertified = 1e-12;  // m, rounding of a certificate
 // Smaller patches know more exactly how far they have moved against one another, and are more pairs to go through.
 constexpr Index kPatchVertices = 32;
 constexpr Index kMostPatches = 64;   // up to twice as many, by halving
@@ -90,6 +93,37 @@ Vector3d difference(const Points& x, const std::int32_t* node, bool edges, doubl
   weight[0] = 1;
   for (int k = 0; k < 3; ++k) weight[k + 1] = -w[k];
   return a - w[0] * b - w[1] * c - w[2] * d;
+}
+
+struct Box {
+  Vector3d low, high;
+};
+template <class Vertices>
+Box box_of(const Vertices& vertices, const std::vector<Vector3d>& x) {
+  Box box{x[vertices[0]], x[vertices[0]]};
+  for (const auto v : vertices) {
+    box.low = box.low.cwiseMin(x[v]);
+    box.high = box.high.cwiseMax(x[v]);
+  }
+  return box;
+}
+double distance(const Box& p, const Box& q) {
+  return (p.low - q.high).cwiseMax(q.low - p.high).cwiseMax(Vector3d::Zero()).norm();
+}
+/// Whether they are within `far` of one another along every axis: cheaper than distance().
+bool near_along_axes(const Box& p, const Box& q, double far) {
+  return ((p.low - q.high).array() <= far).all() && ((q.low - p.high).array() <= far).all();
+}
+/// Those of the primitives that are within `far` of a box, with their own boxes. @param corners vertices of a primitive
+template <class Corners>
+std::vector<std::pair<std::int32_t, Box>> near_box(const std::vector<std::int32_t>& primitives, const Corners& corners,
+                                                   const Box& box, double far, const std::vector<Vector3d>& x) {
+  std::vector<std::pair<std::int32_t, Box>> found;
+  for (const auto p : primitives) {
+    const Box own = box_of(corners(p), x);
+    if (distance(own, box) <= far) found.emplace_back(p, own);
+  }
+  return found;
 }
 
 }  // namespace
@@ -183,72 +217,47 @@ void SelfContact::find_pairs(Neighbours& neighbours, double travelled, const std
   neighbours.pairs.clear();
   neighbours.wake.clear();
   const Patch &a = patches_[neighbours.a], &b = patches_[neighbours.b];
-  const auto box_of = [&](const auto& vertices) {
-    Box box{x[vertices[0]], x[vertices[0]]};
-    for (const auto v : vertices) {
-      box.low = box.low.cwiseMin(x[v]);
-      box.high = box.high.cwiseMax(x[v]);
-    }
-    return box;
-  };
-  const auto apart = [](const Box& p, const Box& q) {
-    return (p.low - q.high).cwiseMax(q.low - p.high).cwiseMax(Vector3d::Zero()).norm();
-  };
-  const Box box_a = box_of(a.reach), box_b = box_of(b.reach);
+  const Box box_a = box_of(a.reach, x), box_b = box_of(b.reach, x);
   const double far = thickness_ + kReach;
   // Patches far from one another have no pairs until they have come near.
-  const double clear = std::max(far, apart(box_a, box_b));
+  const double clear = std::max(far, distance(box_a, box_b));
   neighbours.horizon = travelled + clear - thickness_;
   if (clear > far) return;
 
   const auto add = [&](Pair pair) {
     double weight[4];
-    const double distance = difference(x, pair.node, pair.edges, weight).norm();
-    if (distance > far) return;
+    if (difference(x, pair.node, pair.edges, weight).norm() > far) return;
     // Neighbours that the flat sheet has closer than the thickness are no layers.
     pair.target = std::min(thickness_, 0.9 * rest_distance(pair));
     neighbours.pairs.push_back(pair);
-  };
-  // Those of the primitives that are near the other patch, with their boxes.
-  const auto near = [&](const auto& primitives, const auto& corners, const Box& other) {
-    std::vector<std::pair<std::int32_t, Box>> found;
-    for (const auto p : primitives) {
-      const Box box = box_of(corners(p));
-      if (apart(box, other) <= far) found.emplace_back(p, box);
-    }
-    return found;
   };
   const auto vertex = [](std::int32_t v) { return std::array<std::int32_t, 1>{v}; };
   const auto face = [&](std::int32_t f) {
     return std::array<std::int32_t, 3>{faces_(f, 0), faces_(f, 1), faces_(f, 2)};
   };
   const auto edge = [&](std::int32_t e) { return std::array<std::int32_t, 2>{edges_(e, 0), edges_(e, 1)}; };
-  const auto overlap = [&](const Box& p, const Box& q) {
-    return ((p.low - q.high).array() <= far).all() && ((q.low - p.high).array() <= far).all();
-  };
-  const auto vertices_to_faces = [&](const Patch& of, const Box& box_of_faces, const Patch& to, const Box& box) {
-    const auto faces = near(to.faces, face, box);
-    for (const auto& [v, point] : near(of.vertices, vertex, box_of_faces))
+
+  const auto add_vertices_and_faces = [&](const Patch& p, const Box& box_p, const Patch& q, const Box& box_q) {
+    const auto faces = near_box(q.faces, face, box_p, far, x);
+    for (const auto& [v, box_v] : near_box(p.vertices, vertex, box_q, far, x))
       for (const auto& [f, box_f] : faces) {
         const auto c = face(f);
-        if (c[0] != v && c[1] != v && c[2] != v && overlap(point, box_f))
+        if (c[0] != v && c[1] != v && c[2] != v && near_along_axes(box_v, box_f, far))
           add({{v, c[0], c[1], c[2]}, false, 0.0, (std::int64_t{v} << 31) | f});
       }
   };
   const bool same = neighbours.a == neighbours.b;
-  vertices_to_faces(a, box_b, b, box_a);
-  if (!same) vertices_to_faces(b, box_a, a, box_b);
-  const auto add_edges = [&](std::int32_t e, std::int32_t other) {
-    const auto c = edge(e), d = edge(other);
-    add({{c[0], c[1], d[0], d[1]}, true, 0.0, (std::int64_t{1} << 62) | (std::int64_t{e} << 31) | other});
-  };
-  const auto edges = near(b.edges, edge, box_a);
-  for (const auto& [e, box_e] : near(a.edges, edge, box_b))
+  add_vertices_and_faces(a, box_a, b, box_b);
+  if (!same) add_vertices_and_faces(b, box_b, a, box_a);
+
+  const auto edges = near_box(b.edges, edge, box_a, far, x);
+  for (const auto& [e, box_e] : near_box(a.edges, edge, box_b, far, x))
     for (const auto& [other, box_other] : edges) {
       if (same && other <= e) continue;
-      const auto c = edge(e), d = edge(other);
-      if (c[0] != d[0] && c[0] != d[1] && c[1] != d[0] && c[1] != d[1] && overlap(box_e, box_other))
-        add_edges(std::min(e, other), std::max(e, other));
+      const auto low = std::min(e, other), high = std::max(e, other);
+      const auto c = edge(low), d = edge(high);
+      if (c[0] != d[0] && c[0] != d[1] && c[1] != d[0] && c[1] != d[1] && near_along_axes(box_e, box_other, far))
+        add({{c[0], c[1], d[0], d[1]}, true, 0.0, (std::int64_t{1} << 62) | (std::int64_t{low} << 31) | high});
     }
   neighbours.wake.assign(neighbours.pairs.size(), travelled);
 }
@@ -270,8 +279,8 @@ void SelfContact::resolve(Substep& substep, int passes) {
 void SelfContact::make_contacts(const Substep& substep) {
   found_.clear();
   const auto count = static_cast<Index>(patches_.size());
-  // Rows: low and high of the moves of each patch, since the substep before and in this one.
-  Eigen::ArrayXXd moved(count, 6), moves(count, 6);
+  // A row per patch, the box of its vertices' moves: since the start of the substep before, and predicted for this one.
+  Eigen::ArrayXXd moved(count, 6), predicted(count, 6);
   const auto bounds = [&](const auto& move, auto& rows) {
     for (Index p = 0; p < count; ++p) {
       const auto& reach = patches_[p].reach;
@@ -286,7 +295,7 @@ void SelfContact::make_contacts(const Substep& substep) {
   };
   if (before_.empty()) before_ = substep.start;
   bounds([&](std::int32_t v) -> Vector3d { return substep.start[v] - before_[v]; }, moved);
-  bounds([&](std::int32_t v) -> Vector3d { return substep.end[v] - substep.start[v]; }, moves);
+  bounds([&](std::int32_t v) -> Vector3d { return substep.end[v] - substep.start[v]; }, predicted);
   before_ = substep.start;
   std::size_t first = 0;
   for (Index a = 0; a < count; ++a) {
@@ -297,7 +306,7 @@ void SelfContact::make_contacts(const Substep& substep) {
         square += (rows.col(3 + k).tail(n).max(rows(a, 3 + k)) - rows.col(k).tail(n).min(rows(a, k))).square();
       return Eigen::ArrayXd(square.sqrt());
     };
-    const Eigen::ArrayXd way = sizes(moved), range = sizes(moves);
+    const Eigen::ArrayXd way = sizes(moved), range = sizes(predicted);
     for (Index k = 0; k < n; ++k) {
       const std::size_t at = first + static_cast<std::size_t>(k);
       travelled_[at] += way[k];
@@ -336,7 +345,7 @@ void SelfContact::add_contacts(std::size_t at, double range, const Substep& subs
       closing = std::max(closing, (substep.end[pair.node[k]] - substep.start[pair.node[k]] - substep.end[pair.node[0]] +
                                    substep.start[pair.node[0]])
                                       .squaredNorm());
-    if (contact.gap - pair.target > kLookAhead * std::sqrt(closing) + 0.5 * kSlack || contact.gap < 1e-9) continue;
+    if (contact.gap - pair.target > kLookAhead * std::sqrt(closing) + 0.5 * kSlack || contact.gap < kTouching) continue;
     contact.pair = &pair;
     contact.normal = way / contact.gap;
     contact.wanted = std::min(pair.target, contact.gap + kRise * substep.seconds);
@@ -406,44 +415,38 @@ void SelfContact::rub(Substep& substep) {
 void SelfContact::certify(Substep& substep) {
   auto& x = substep.end;
   const auto& w = *substep.inverse_mass;
-  constexpr std::array<std::array<int, 2>, 4> between_edges{{{0, 2}, {0, 3}, {1, 2}, {1, 3}}};
-  constexpr std::array<std::array<int, 2>, 3> to_face{{{0, 1}, {0, 2}, {0, 3}}};
-  const auto lacks = [&](const Contact& contact, const auto& combinations, const auto& act) {
+  using Sides = std::array<int, 2>;  // of Pair::node
+  static constexpr std::array<Sides, 4> edge_edge{{{0, 2}, {0, 3}, {1, 2}, {1, 3}}};
+  static constexpr std::array<Sides, 3> vertex_face{{{0, 1}, {0, 2}, {0, 3}}};
+  // Calls push(i, j, lack) for every two vertices that are too close along the normal. @return whether any are.
+  const auto for_each_lack = [&](const Contact& contact, const auto& push) {
     bool any = false;
-    for (const auto& [a, b] : combinations) {
+    for (const auto& [a, b] : contact.pair->edges ? std::span<const Sides>(edge_edge) : vertex_face) {
       const auto i = contact.pair->node[a], j = contact.pair->node[b];
       const double lack = kKeep * contact.gap - contact.normal.dot(x[i] - x[j]);
-      if (lack > 1e-12) {
-        any = true;
-        act(i, j, lack);
-      }
+      if (!(lack > kCertified)) continue;
+      any = true;
+      push(i, j, lack);
     }
     return any;
   };
-  const auto sweep = [&](const auto& act) {
-    Index count = 0;
-    for (const Contact& contact : contacts_)
-      count +=
-          contact.pair->edges ? lacks(contact, between_edges, act(contact)) : lacks(contact, to_face, act(contact));
-    return count;
-  };
-  Index left = contacts_.empty() ? 0 : 1;
+
+  Index left = static_cast<Index>(contacts_.size());
   for (int pass = 0; pass < kCertifyPasses && left > 0; ++pass) {
-    left = sweep([&](const Contact& contact) {
-      return [&](std::int32_t i, std::int32_t j, double lack) {
+    left = 0;
+    for (const Contact& contact : contacts_)
+      left += for_each_lack(contact, [&](std::int32_t i, std::int32_t j, double lack) {
         const double both = w[i] + w[j];
         if (both == 0.0) return;
         x[i] += (lack * w[i] / both) * contact.normal;
         x[j] -= (lack * w[j] / both) * contact.normal;
-      };
-    });
+      });
     if (left > 0) push_off_ground(substep);
   }
   for (int pass = 0; pass < kTogetherPasses && left > 0; ++pass) {
     left = 0;
     for (const Contact& contact : contacts_) {
-      const auto nothing = [](std::int32_t, std::int32_t, double) {};
-      if (!(contact.pair->edges ? lacks(contact, between_edges, nothing) : lacks(contact, to_face, nothing))) continue;
+      if (!for_each_lack(contact, [](std::int32_t, std::int32_t, double) {})) continue;
       ++left;
       // The mean move, or that of the held vertices.
       Vector3d sum = Vector3d::Zero();
@@ -460,7 +463,7 @@ void SelfContact::certify(Substep& substep) {
     }
     if (left > 0) push_off_ground(substep);
   }
-  if (left > 0) uncertified_ += left;
+  uncertified_ += left;
   push_off_ground(substep);
 }
 

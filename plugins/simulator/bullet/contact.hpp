@@ -26,11 +26,10 @@ struct Substep {
 ///    slowly, so that an overlap is no source of speed);
 ///  - Coulomb: the tangential move of the closest points relative to one another is taken back by at most mu times the
 ///    normal correction;
-///  - the certificate: every vertex of the one stays on its side of every vertex of the other along n. Distances along
-///  n
-///    between two vertices that move straight are linear in time and positive at the start, so a plane separates the
-///    two throughout the substep: a pair with a certificate has not crossed. Where corrections fail to restore a
-///    certificate, the vertices of the pair move as one, which keeps all their distances.
+///  - the certificate: every vertex of the one stays on its side of every vertex of the other along n. Along n, the
+///    distance between two vertices that move straight is linear in time and positive at the start, so a plane
+///    separates the two throughout the substep: a pair with a certificate has not crossed. Where corrections fail to
+///    restore a certificate, the vertices of the pair move as one, which keeps all their distances.
 class SelfContact {
  public:
   /// @param thickness m, distance of mid-surfaces. @param self whether layers of cloth see one another.
@@ -60,9 +59,6 @@ class SelfContact {
     double wanted;      ///< m, at the end
     double mobility;    ///< sum of weight^2 / mass, 1/kg
     double push = 0.0;  ///< m, sum of the corrections of the gap
-  };
-  struct Box {
-    Eigen::Vector3d low, high;
   };
   /// A piece of the sheet that moves as a piece. Every vertex, face and edge belongs to one patch.
   struct Patch {
