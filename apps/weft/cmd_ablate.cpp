@@ -24,31 +24,28 @@ std::string slug(const std::string& name) {
   return text;
 }
 
-/// Makes everything that a session of this arm makes first, and drops it: what cannot work shows before any work
-/// starts.
+/// Makes everything that a cell of this arm makes first, and drops it: what cannot work shows before any work starts.
 /// @return the arm's config, independent of where its files lie.
-ConfigNode rehearse(const AblationPlan& plan, const AblationArm& arm, std::shared_ptr<const PluginRegistry> registry,
+ConfigNode rehearse(const AblationPlan& plan, const AblationArm& arm, const PluginRegistry& registry, Host& host,
                     const std::filesystem::path& folder) {
-  const std::uint64_t seed = plan.seeds.front();
   try {
     if (plan.measure == "physics") {
       PhysicsExperimentParams params;
       const ConfigNode resolved = read_params(arm.config, params);
-      const auto host = make_host(registry, {.threads = 1, .seed = seed});
-      const Task task = make_task(params.task, arm.config, *host);
-      host->create<Simulator>(task.simulator);
-      if (!params.other.is_null()) host->create<Simulator>(params.other);
-      return self_contained(resolved, task, *registry, folder);
+      const Task task = make_task(params.task, arm.config, host);
+      check_simulator(task.simulator, task, host);
+      if (!params.other.is_null()) check_simulator(params.other, task, host);
+      return self_contained(resolved, task, registry, folder);
     }
     SessionParams params;
     const ConfigNode resolved = read_params(arm.config, params);
-    const auto host = make_host(registry, {.threads = 1, .seed = seed});
-    const Task task = make_task(params.task, arm.config, *host);
+    const Task task = make_task(params.task, arm.config, host);
+    check_simulator(task.simulator, task, host);
     if (params.predictor.is_null()) arm.config.fail("predictor is missing; name one, such as {plugin: rollout}");
-    const auto predictor = host->create<Predictor>(params.predictor);
+    const auto predictor = host.create<Predictor>(params.predictor);
     predictor->bind(task);
-    const Planner planner(task, predictor, host->create<Optimiser>(params.optimiser), params.planning, *host);
-    return self_contained(resolved, task, *registry, folder);
+    const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+    return self_contained(resolved, task, registry, folder);
   } catch (const Error& error) {
     throw ConfigError("arm '" + arm.name + "': " + error.what());
   }
@@ -59,15 +56,15 @@ int ablate(const Context& context, const std::string& file) {
   for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
   const AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
   const auto registry = context.registry(plan.arms.front().config);
+  const auto host = context.host(registry, plan.seeds.front());  // takes ^C, and names the threads
   const auto folder = output_folder(context, std::filesystem::path(file).stem().string());
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
-    ConfigNode saved = rehearse(plan, plan.arms[a], registry, folder);
+    ConfigNode saved = rehearse(plan, plan.arms[a], *registry, *host, folder);
     if (saved.at("threads").as_int() == 0) saved = saved.with("threads", ConfigNode::integer(1));
     write_text(folder / ("arm" + std::to_string(a) + "-" + slug(plan.arms[a].name) + ".yaml"), saved.to_yaml());
   }
   write_text(folder / "config.yaml", config.to_yaml());
 
-  const auto host = context.host(registry, plan.seeds.front());  // takes ^C, and names the threads
   write_text(folder / "provenance.json", provenance_json(*registry, *host, plan.seeds.front()));
   AblationOptions options;
   options.folder = folder;

@@ -11,6 +11,7 @@ namespace {
 
 int tune(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
+  check_simulator(given.task.simulator, given.task, *given.host);
   const auto simulator = given.host->create<Simulator>(given.task.simulator);
   const auto result = tune_displacement(given.task, *simulator, MaterialProperties::Constant(0.5));
   if (context.json) {

@@ -56,6 +56,7 @@ int evaluate(Context& context, const std::string& file) {
   const Prepared<PhysicsExperimentParams> given(context, file);
   const auto task = std::make_shared<const Task>(given.task);
   const auto cases = physics_cases(given.params.physics, task);
+  check_simulator(task->simulator, *task, *given.host);
   const auto out = output_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
   const ConfigNode saved = given.saved_config(out);
 

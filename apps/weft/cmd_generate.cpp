@@ -39,7 +39,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   if (!shard.empty()) parse_shard(shard, options);
   if (context.out.empty()) throw ConfigError("weft generate: --out FOLDER is required");
   const Prepared<ExperimentParams> given(context, file);
-  given.host->create<Simulator>(given.task.simulator);  // a wrong simulator shows before any work
+  check_simulator(given.task.simulator, given.task, *given.host);
   options.folder = output_folder(context, "");
   const ConfigNode saved = data_config(given.resolved, given.task, *given.registry, options.folder);
   // Threads and machine do not belong to the examples: the files must not depend on them.

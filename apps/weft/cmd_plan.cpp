@@ -62,7 +62,10 @@ template <class Compute>
 int run_alone(Context& context, const Options& options, const std::string& name, const Compute& compute) {
   const Prepared<SessionParams> given(context, options.config);
   std::optional<SessionRecord> recorded;
-  if (!options.session.empty()) recorded = read_session(session_file(options.session));
+  if (!options.session.empty())
+    recorded = read_session(session_file(options.session));
+  else
+    check_simulator(given.task.simulator, given.task, *given.host);  // which makes the fresh session
   const std::string json = compute(given, recorded ? &*recorded : nullptr).dump(2) + "\n";
   const auto stem = std::filesystem::path(options.config).stem().string();
   const auto folder = output_folder(context, name + "-" + stem + "-seed" + std::to_string(given.seed));

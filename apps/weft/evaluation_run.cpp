@@ -32,6 +32,7 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
     const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
                               host);
   }
+  check_simulator(task.simulator, task, host);
   out = output_folder(context, name + "-" + std::filesystem::path(options.file).stem().string());
   write_text(out / "config.yaml", given.saved_config(out).to_yaml());
   write_text(out / "provenance.json", given.provenance());

@@ -399,6 +399,7 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   result.simulate_seconds = environment.seconds();
   result.max_grasp_strain = environment.max_grasp_strain();
   result.frames = environment.frames();
+  if (const std::string warning = environment.warning(); !warning.empty()) result.warnings.push_back(warning);
   if (!result.released) {
     result.warnings.push_back("the session ended after " + std::to_string(result.rounds.size()) +
                               " segments without release");

@@ -41,6 +41,13 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   return task;
 }
 
+void check_simulator(const ConfigNode& slot, const Task& task, Host& host) {
+  const auto simulator = host.create<Simulator>(slot);
+  simulator->reset(task.garment, task.material.at(MaterialProperties::Constant(0.5)), task.scene);
+  const std::string warning = simulator->diagnostics().warning;
+  if (!warning.empty()) host.log(LogLevel::warning, warning + " (fabric in the middle of its range)");
+}
+
 FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material,
                          const Controls& controls) {
   FoldResult result;

@@ -215,6 +215,24 @@ TEST(Program, AblateComparesArmsAndResumes) {
   EXPECT_THAT(wrong.output, AllOf(HasSubstr("arm 'no'"), HasSubstr("nearest: rprop")));
 }
 
+TEST(Program, WhatASimulatorCannotHonourIsSaid) {
+  const Folder folder;
+  const auto task =
+      folder.write("task.yaml", kTowelTask +
+                                    "simulator: {plugin: bullet}\noptimiser: {plugin: rprop}\n"
+                                    "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n");
+  const auto warned = AllOf(HasSubstr("warning: bullet: "), HasSubstr("poisson = "));
+  const Outcome run = weft_command("run '" + task.string() + "' --quiet --out '" + (folder / "run").string() + "'");
+  ASSERT_EQ(run.code, 0) << run.output;
+  EXPECT_THAT(run.output, warned);
+  const auto summary = nlohmann::json::parse(text_of(folder / "run" / "summary.json"));
+  EXPECT_THAT(summary["warnings"].dump(), HasSubstr("poisson = "));
+  const Outcome generate =
+      weft_command("generate '" + task.string() + "' --examples 1 --out '" + (folder / "data").string() + "'");
+  EXPECT_EQ(generate.code, 0);
+  EXPECT_THAT(generate.output, warned);
+}
+
 TEST(Program, AblateComparesSimulatorsOnThePhysicsSuite) {
   const Folder folder;
   folder.write("suite.yaml", kTowelTask +
@@ -230,7 +248,8 @@ TEST(Program, AblateComparesSimulatorsOnThePhysicsSuite) {
   const std::string command = "ablate '" + file.string() + "' --out '" + (folder / "out").string() + "' --jobs 2 ";
   const Outcome first = weft_command(command);
   ASSERT_EQ(first.code, 0) << first.output;
-  EXPECT_THAT(first.output, AllOf(HasSubstr("2 arms, 2 cases"), HasSubstr("4/4  "), HasSubstr("mean vertex distance")));
+  EXPECT_THAT(first.output, AllOf(HasSubstr("2 arms, 2 cases"), HasSubstr("4/4  "), HasSubstr("mean vertex distance"),
+                                  HasSubstr("warning: bullet: ")));
   const auto json = nlohmann::json::parse(text_of(folder / "out" / "ablation.json"));
   EXPECT_EQ(json["cases"], (nlohmann::json{"paired folds, seed 1", "free fall, irregular sheet"}));
   for (const auto& arm : json["arms"]) {

@@ -58,6 +58,7 @@ class WEFT_API SimulatorEnvironment final : public Environment {
   const std::vector<std::vector<float>>& frames() const { return frames_; }
   double seconds() const { return seconds_; }
   double max_grasp_strain() const { return max_grasp_strain_; }
+  std::string warning() const { return simulator_->diagnostics().warning; }
 
  private:
   void record();

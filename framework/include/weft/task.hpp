@@ -62,6 +62,11 @@ struct TaskParams {
 /// @throws ConfigError, PluginError.
 WEFT_API Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host);
 
+/// Lays the task's garment, of the fabric in the middle of its range, into a simulator, and logs what the simulator
+/// warns of: a wrong simulator, or one that cannot honour the fabric, shows before any work.
+/// @throws what making and resetting it throws.
+WEFT_API void check_simulator(const ConfigNode& slot, const Task& task, Host& host);
+
 /// One fold under known material: runs the controls from the flat garment to release (or to the last segment) and
 /// settles.
 struct FoldResult {
