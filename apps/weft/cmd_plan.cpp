@@ -52,6 +52,7 @@ ordered_json to_json(const LoneEstimates& lone) {
                     {"width", to_list(one.knowledge.width)},
                     {"loss", one.loss},
                     {"nll", one.nll},
+                    {"misfit", one.misfit},
                     {"estimate_seconds", one.seconds}});
   }
   return {{"true_material", to_list(lone.true_material)}, {"estimates", list}};

@@ -73,7 +73,7 @@ class EstimationObjective final : public Objective {
     if (has_start_height_) {
       start_height_ = request.start->col(2).mean();
       const double noise = request.start_sigma / std::sqrt(static_cast<double>(request.start->rows()));
-      start_height_sigma_ = std::hypot(params.start_height_sigma_m, noise);
+      start_height_sigma_ = std::hypot(params.start_height_sigma_m, noise, request.start_height_sigma);
     }
   }
 
@@ -145,21 +145,26 @@ class EstimationObjective final : public Objective {
     return result;
   }
 
-  /// Mean over the coordinates of the negative log-likelihood, lengths in mm: eq. 6 without anything else.
-  double nll(const std::vector<ShapeDistribution>& shapes) const {
-    double sum = 0.0;
+  /// Means over the coordinates of the negative log-likelihood, lengths in mm: eq. 6 without anything else; and of the
+  /// squared normalised error.
+  void rate(const std::vector<ShapeDistribution>& shapes, Estimate& estimate) const {
+    estimate.nll = estimate.misfit = 0.0;
     for (const auto& c : history_.coordinates) {
       const double variance = variance_of(shapes, c);
       const double error = c.position - shapes[c.shape].mean.data()[c.entry];
-      sum += 0.5 * error * error / variance + 0.5 * std::log(2.0 * std::numbers::pi * variance * 1e6);
+      estimate.misfit += per_coordinate_ * error * error / variance;
+      estimate.nll += per_coordinate_ * 0.5 * std::log(2.0 * std::numbers::pi * variance * 1e6);
     }
-    return sum * per_coordinate_;
+    estimate.nll += 0.5 * estimate.misfit;
   }
 
   /// The posterior around the best q: gradient and Gauss-Newton precision of n L(q) by central differences, n the
   /// number of independent measurements. For normal distributions the precision (the Fisher information) is the sum of
   ///     dmu dmu' / sigma^2 + 2 dsigma dsigma' / sigma^2.
-  MaterialPosterior posterior(const PropertyVector& mode) {
+  /// Shapes that no material explains to within sigma say less of q than sigma claims. As for measurements that
+  /// disagree, all variances are then multiplied by the mean squared residual [Birge 1932, "The calculation of errors
+  /// by the method of least squares"].
+  MaterialPosterior posterior(const PropertyVector& mode, double misfit) {
     std::vector<PredictionCase> cases{make_case(mode)};
     PropertyVector low, high;
     for (Index p = 0; p < 4; ++p) {
@@ -187,7 +192,7 @@ class EstimationObjective final : public Objective {
       if (!has_lower) low(i) = mode(i);
       if (!has_upper) high(i) = mode(i);
     }
-    const double weight = information_ * per_coordinate_;
+    const double weight = information_ * per_coordinate_ / (params_.birge_ratio ? std::max(1.0, misfit) : 1.0);
     for (const auto& c : history_.coordinates) {
       const double s = shapes[0][c.shape].sigma.data()[c.entry], variance = variance_of(shapes[0], c);
       const double error = c.position - shapes[0][c.shape].mean.data()[c.entry];
@@ -405,9 +410,9 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
     throw Error("estimation: no instance reached a finite loss: " + results.front().message);
   const Vector& best = results[static_cast<std::size_t>(estimate.instance)].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});
-  estimate.nll = objective.nll(prediction->shapes().front());
+  objective.rate(prediction->shapes().front(), estimate);
   if (params_.method == "posterior") {
-    estimate.posterior = objective.posterior(best);
+    estimate.posterior = objective.posterior(best, estimate.misfit);
     estimate.knowledge = interval_of(estimate.posterior->widened(deviation_scale_));
   } else {
     estimate.knowledge = objective.knowledge(best);

@@ -17,6 +17,7 @@ constexpr std::uint64_t kGoalStream = 0x676f616c;
 constexpr std::uint64_t kKnowledgeStream = 0x6b6e6f77;
 constexpr std::uint64_t kHiddenStream = 0x68696465;
 constexpr std::uint64_t kNoiseStream = 0x6e6f6973;
+constexpr std::uint64_t kBiasStream = 0x62696173;
 
 std::vector<float> to_frame(const Positions& positions) {
   const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> single = positions.cast<float>();
@@ -39,17 +40,21 @@ std::shared_ptr<const Positions> filled(const Observation& seen, const Positions
   return std::make_shared<const Positions>(std::move(shape));
 }
 
+void set_start(EstimateRequest& request, const Task& task, const Observation& seen) {
+  request.start = filled_start(task, seen);
+  request.start_sigma = seen.sigma;
+  request.start_height_sigma = seen.height_sigma;
+}
+
 /// Estimates after every segment, each one from everything up to then and the estimate before it. With more than one
 /// thread they run beside the session; what they are does not depend on that.
 class EstimateChain {
  public:
-  EstimateChain(const Estimator* estimator, Host& host, std::uint64_t seed, double noise)
-      : estimator_(estimator), host_(host) {
+  EstimateChain(const Estimator* estimator, Host& host, std::uint64_t seed) : estimator_(estimator), host_(host) {
     history_.seed = seed;
-    history_.start_sigma = noise;
   }
-  void start(std::shared_ptr<const Positions> shape, const Vector& state, Index controls) {
-    history_.start = std::move(shape);
+  void start(const Task& task, const Observation& seen, const Vector& state, Index controls) {
+    set_start(history_, task, seen);
     history_.state = state;
     history_.controls.resize(0, controls);
   }
@@ -147,7 +152,9 @@ void SimulatorEnvironment::record() { frames_.push_back(to_frame(simulator_->pos
 
 Observation observe_shape(const Positions& shape, const ObservationParams& params, std::uint64_t seed,
                           std::uint64_t number) {
-  Observation seen{.positions = shape, .sigma = params.noise_m};
+  Observation seen{.positions = shape, .sigma = params.noise_m, .height_sigma = params.height_bias_m};
+  if (params.height_bias_m > 0.0)
+    seen.positions.col(2).array() += params.height_bias_m * RandomStream(seed, kBiasStream).normal();
   const RandomStream streams(seed, kNoiseStream, number);
   if (params.noise_m > 0.0) {
     RandomStream random = streams.child(0);
@@ -345,14 +352,14 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   // Plan, execute one segment, observe, re-plan, ..., release.
   SimulatorEnvironment environment(host.create<Simulator>(task.simulator), task, result.true_material,
                                    params.observation, seed);
-  EstimateChain chain(estimator.get(), host, seed, params.observation.noise_m);
+  EstimateChain chain(estimator.get(), host, seed);
   Vector state = trajectory.initial_state(task.manipulation);
   const Observation first = environment.observe();
   auto current = filled_start(task, first);
   std::shared_ptr<const Positions> previous;
   const auto goal = std::make_shared<const Positions>(result.goal);
   result.start = environment.positions();
-  chain.start(current, state, static_cast<Index>(trajectory.controls().size()));
+  chain.start(task, first, state, static_cast<Index>(trajectory.controls().size()));
   Controls warm_start;
   while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
          !host.cancelled()) {
@@ -461,8 +468,7 @@ std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& t
                                        Host& host) {
   require_shape("replay: shapes", static_cast<Index>(replay.shapes.size()), replay.controls.rows() + 1);
   EstimateRequest request;
-  request.start = filled_start(task, observe_shape(replay.shapes.front(), observation, seed, 0));
-  request.start_sigma = observation.noise_m;
+  set_start(request, task, observe_shape(replay.shapes.front(), observation, seed, 0));
   request.state = replay.state;
   request.seed = seed;
   std::vector<Estimate> estimates;

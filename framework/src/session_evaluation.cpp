@@ -427,6 +427,7 @@ AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams&
     outcome.metrics.emplace_back("slowest_estimate_seconds", slowest);
     const auto& last = estimates.back();
     outcome.metrics.emplace_back("nll", last.nll);
+    outcome.metrics.emplace_back("misfit", last.misfit);
     if (last.posterior) {
       std::vector<double> values;
       const auto& posterior = *last.posterior;

@@ -377,24 +377,75 @@ TEST(Estimator, MeasurementNoiseWidensAndIsAccountedFor) {
   EXPECT_NEAR(held, 0.8 * 4 * kCases, 0.1 * 4 * kCases);
 }
 
-TEST(Estimator, TheHeightOfTheStartShapeShowsTheThickness) {
-  Bench bench;
-  bench.world.strength(3) = 0.0;
-  auto request = bench.observe(draw(6), 6);
-  Positions start = *request.start;
-  start.col(2).setConstant(bench.task.material.ranges[3].at(0.7));
-  request.start = std::make_shared<const Positions>(start);
-  for (auto& seen : request.observations) {
-    Observation lifted = *seen;
-    lifted.positions.col(2).array() += start(0, 2);
-    seen = std::make_shared<const Observation>(lifted);
+/// A cloth of thickness q = 0.7 that lies flat, in a world whose shapes show nothing of it.
+struct FlatBench : Bench {
+  EstimateRequest request;
+  double thickness = task.material.ranges[3].at(0.7);
+  double width_per_metre = 2.95 / (thickness * std::log(8.0));  // of standard deviation: dt/dq = t log(8)
+  FlatBench() {
+    world.strength(3) = 0.0;
+    request = observe(draw(6), 6);
+    Positions start = *request.start;
+    start.col(2).setConstant(thickness);
+    request.start = std::make_shared<const Positions>(start);
+    for (auto& seen : request.observations) {
+      Observation lifted = *seen;
+      lifted.positions.col(2).array() += thickness;
+      seen = std::make_shared<const Observation>(lifted);
+    }
   }
-  EXPECT_GT(bench.estimate(request).knowledge.width(3), 0.9);
+};
+
+TEST(Estimator, TheHeightOfTheStartShapeShowsTheThickness) {
+  FlatBench bench;
+  EXPECT_GT(bench.estimate(bench.request).knowledge.width(3), 0.9);
   bench.params.start_height_sigma_m = 0.0002;
-  const auto k = bench.estimate(request).knowledge;
+  const auto k = bench.estimate(bench.request).knowledge;
   EXPECT_NEAR(k.centre(3), 0.7, 0.02);
-  // sd 0.2 mm over dt/dq = t log(8) = 4.5 mm
-  EXPECT_NEAR(k.width(3), 2.95 * 0.0002 / (start(0, 2) * std::log(8.0)), 0.03);
+  EXPECT_NEAR(k.width(3), 0.0002 * bench.width_per_metre, 0.03);
+}
+
+TEST(Estimator, ADeclaredErrorOfTheHeightsWidensTheThickness) {
+  FlatBench bench;
+  bench.params.start_height_sigma_m = 1e-5;
+  EXPECT_NEAR(bench.estimate(bench.request).knowledge.width(3), 1e-5 * bench.width_per_metre, 0.002);
+  bench.request.start_height_sigma = 0.0002;
+  EXPECT_NEAR(bench.estimate(bench.request).knowledge.width(3), 0.0002 * bench.width_per_metre, 0.03);
+}
+
+TEST(Estimator, ShapesThatNoMaterialExplainsWidenByTheBirgeRatio) {
+  Bench bench;
+  auto request = bench.observe(draw(6), 6);
+  for (auto& seen : request.observations) {
+    // An error of 3 sigma with alternating sign: hardly any material looks like that.
+    Observation off = *seen;
+    for (Index k = 0; k < off.positions.size(); ++k)
+      off.positions.data()[k] += (k % 2 ? 3.0 : -3.0) * bench.world.sigma;
+    seen = std::make_shared<const Observation>(off);
+  }
+  const Estimate wide = bench.estimate(request);
+  bench.params.birge_ratio = false;
+  const Estimate narrow = bench.estimate(request);
+  ASSERT_GT(wide.misfit, 4.0);
+  EXPECT_EQ(wide.misfit, narrow.misfit);
+  const auto& precision = narrow.posterior->precision;
+  EXPECT_TRUE((wide.misfit * wide.posterior->precision).isApprox(precision, 1e-9));
+  EXPECT_LT(narrow.knowledge.width.sum(), wide.knowledge.width.sum());
+}
+
+TEST(Estimator, AShapeThatFitsIsNotNarrowedByTheBirgeRatio) {
+  Bench bench;
+  auto request = bench.observe(draw(6), 6);
+  for (Index j = 1; j <= kSegments; ++j) {
+    Observation exact{.positions = *request.start};  // without the world's noise
+    for (Index k = 0; k < exact.positions.size(); ++k)
+      exact.positions.data()[k] += bench.world.slope(j, k).dot(draw(6));
+    request.observations[static_cast<std::size_t>(j - 1)] = std::make_shared<const Observation>(exact);
+  }
+  const Estimate with = bench.estimate(request);
+  ASSERT_LT(with.misfit, 0.5);
+  bench.params.birge_ratio = false;
+  EXPECT_EQ(bench.estimate(request).knowledge.width, with.knowledge.width);
 }
 
 TEST(Estimator, StartsFromThePrecedingEstimate) {

@@ -220,6 +220,22 @@ TEST_F(Session, HiddenVerticesStayHiddenAndNoiseIsAsLargeAsItSays) {
   EXPECT_NEAR(static_cast<double>(hidden), 0.25 * static_cast<double>(n), 0.15 * static_cast<double>(n));
 }
 
+TEST(ObserveShape, AHeightBiasIsOnePerSessionAndAsLargeAsItSays) {
+  const Positions flat = Positions::Constant(5, 3, 0.1);
+  const ObservationParams params{.height_bias_m = 0.002};
+  double square = 0.0;
+  constexpr std::uint64_t kSessions = 400;
+  for (std::uint64_t seed = 0; seed < kSessions; ++seed) {
+    const Observation first = observe_shape(flat, params, seed, 0), later = observe_shape(flat, params, seed, 7);
+    EXPECT_EQ(first.positions, later.positions);
+    EXPECT_EQ(first.positions.leftCols(2), flat.leftCols(2));
+    EXPECT_EQ(first.height_sigma, 0.002);
+    EXPECT_EQ(first.positions.col(2).minCoeff(), first.positions.col(2).maxCoeff());
+    square += std::pow(first.positions(0, 2) - 0.1, 2) / static_cast<double>(kSessions);
+  }
+  EXPECT_NEAR(std::sqrt(square), 0.002, 0.0002);
+}
+
 TEST_F(Session, DrawnKnowledgeHoldsTheTruth) {
   std::vector<std::string> quick = {"planning.iterations=0", "planning.instances=1", "planning.replan_iterations=0",
                                     "knowledge=drawn", "drawn_width=0.4"};

@@ -26,6 +26,7 @@ struct EstimatorParams {
   double effective_coordinates = 20.0;
   double start_height_sigma_m = 0.0002;
   double difference_step = 0.05;
+  bool birge_ratio = true;
   std::vector<double> deviation_scale;
 
   template <class Visitor>
@@ -44,9 +45,13 @@ struct EstimatorParams {
     v("effective_coordinates", effective_coordinates, range(1e-3, 1e9),
       "posterior: independent measurements that the coordinates of one shape are worth.");
     v("start_height_sigma_m", start_height_sigma_m, range(0, 1, "m"),
-      "posterior: the start shape lies flat, at the thickness of the cloth, up to this; 0: do not use that.");
+      "posterior: the start shape lies flat, at the thickness of the cloth, up to this and to what the observation "
+      "says "
+      "of its own errors; 0: do not use that.");
     v("difference_step", difference_step, range(1e-6, 0.5),
       "posterior: step of the differences that give its precision.");
+    v("birge_ratio", birge_ratio,
+      "posterior: where the shapes lie farther from the best prediction than its sigma says, widen by that ratio.");
     v("deviation_scale", deviation_scale, range(1e-3, 1e3),
       "posterior: factors on its standard deviations, [friction, bend, stretch, thickness]; default 1. `weft evaluate "
       "estimation` reports those that calibrate it.");
@@ -59,7 +64,8 @@ struct EstimateRequest {
   Vector state;                                                  ///< [S] at the start
   Controls controls;                                             ///< [i, C]: m_0 ... m_{i-1}
   std::vector<std::shared_ptr<const Observation>> observations;  ///< [i]: s_1 ... s_i
-  double start_sigma = 0.0;                                      ///< m: measurement noise of s_0
+  double start_sigma = 0.0;                                      ///< m: measurement noise of s_0, per coordinate
+  double start_height_sigma = 0.0;                               ///< m: of the error that its heights have in common
   std::optional<MaterialKnowledge> previous;                     ///< the preceding estimate
   Index round = 0;                                               ///< which estimate of the session; keys the noise
   std::uint64_t seed = 0;
@@ -70,6 +76,7 @@ struct Estimate {
   std::optional<MaterialPosterior> posterior;  ///< method posterior; before deviation_scale
   double loss = 0.0;                           ///< residual estimation loss of the winner, per coordinate
   double nll = 0.0;                            ///< eq. 6 at the winner: mean over coordinates of -log density, in mm
+  double misfit = 0.0;  ///< mean over coordinates of ((x - mu) / sigma)^2 at the winner; 1 where sigma is right
   Index instance = 0;
   std::vector<double> losses;  ///< [instances], residual
   Index iterations = 0;

@@ -26,12 +26,15 @@ class Environment {
 /// What a session sees of the cloth.
 struct ObservationParams {
   double noise_m = 0.0;
+  double height_bias_m = 0.0;
   double hidden_share = 0.0;
   double lost_share = 0.0;
 
   template <class Visitor>
   void visit(Visitor& v) {
     v("noise_m", noise_m, range(0, 1, "m"), "Standard deviation of Gaussian noise on every coordinate that is seen.");
+    v("height_bias_m", height_bias_m, range(0, 1, "m"),
+      "Standard deviation of an error that all heights of a session share: how well the sensor knows the table.");
     v("hidden_share", hidden_share, range(0, 0.99), "Share of the vertices that are never seen, drawn from the seed.");
     v("lost_share", lost_share, range(0, 0.99), "Share of the vertices that an observation misses, drawn each time.");
   }
