@@ -66,7 +66,9 @@ class EstimationObjective final : public Objective {
       return;
     }
     const auto shapes = static_cast<double>(history.segments.size());
-    information_ = std::min(n, params.effective_coordinates * shapes);
+    // Errors that the shapes of a sequence share do not average out: the design effect [Kish 1965, "Survey sampling"].
+    information_ =
+        std::min(n, params.effective_coordinates * shapes / (1.0 + (shapes - 1.0) * params.shape_correlation));
     // The predictor's errors come in blocks that move together, and the measurement's noise averages out in a block.
     noise_share_ = information_ / n;
     has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
@@ -161,9 +163,9 @@ class EstimationObjective final : public Objective {
   /// The posterior around the best q: gradient and Gauss-Newton precision of n L(q) by central differences, n the
   /// number of independent measurements. For normal distributions the precision (the Fisher information) is the sum of
   ///     dmu dmu' / sigma^2 + 2 dsigma dsigma' / sigma^2.
-  /// Shapes that no material explains to within sigma say less of q than sigma claims. As for measurements that
-  /// disagree, all variances are then multiplied by the mean squared residual [Birge 1932, "The calculation of errors
-  /// by the method of least squares"].
+  /// Sigma is right on average, not for this sequence: all its variances have a common factor, for which the mean
+  /// squared residual speaks (Birge's ratio [Birge 1932, "The calculation of errors by the method of least squares"])
+  /// with the weight of n measurements, and a prior for 1 with that of `misfit_prior`.
   MaterialPosterior posterior(const PropertyVector& mode, double misfit) {
     std::vector<PredictionCase> cases{make_case(mode)};
     PropertyVector low, high;
@@ -192,7 +194,8 @@ class EstimationObjective final : public Objective {
       if (!has_lower) low(i) = mode(i);
       if (!has_upper) high(i) = mode(i);
     }
-    const double weight = information_ * per_coordinate_ / (params_.birge_ratio ? std::max(1.0, misfit) : 1.0);
+    const double factor = (params_.misfit_prior + information_ * misfit) / (params_.misfit_prior + information_);
+    const double weight = information_ * per_coordinate_ / factor;
     for (const auto& c : history_.coordinates) {
       const double s = shapes[0][c.shape].sigma.data()[c.entry], variance = variance_of(shapes[0], c);
       const double error = c.position - shapes[0][c.shape].mean.data()[c.entry];

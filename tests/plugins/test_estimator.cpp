@@ -413,7 +413,7 @@ TEST(Estimator, ADeclaredErrorOfTheHeightsWidensTheThickness) {
   EXPECT_NEAR(bench.estimate(bench.request).knowledge.width(3), 0.0002 * bench.width_per_metre, 0.03);
 }
 
-TEST(Estimator, ShapesThatNoMaterialExplainsWidenByTheBirgeRatio) {
+TEST(Estimator, ShapesThatNoMaterialExplainsWidenByBirgesRatio) {
   Bench bench;
   auto request = bench.observe(draw(6), 6);
   for (auto& seen : request.observations) {
@@ -423,29 +423,30 @@ TEST(Estimator, ShapesThatNoMaterialExplainsWidenByTheBirgeRatio) {
       off.positions.data()[k] += (k % 2 ? 3.0 : -3.0) * bench.world.sigma;
     seen = std::make_shared<const Observation>(off);
   }
-  const Estimate wide = bench.estimate(request);
-  bench.params.birge_ratio = false;
-  const Estimate narrow = bench.estimate(request);
+  const auto with_prior = [&](double prior) {
+    bench.params.misfit_prior = prior;
+    return bench.estimate(request);
+  };
+  const Estimate wide = with_prior(0.0), narrow = with_prior(1e9), between = with_prior(3.0 * kVertices * kSegments);
   ASSERT_GT(wide.misfit, 4.0);
-  EXPECT_EQ(wide.misfit, narrow.misfit);
   const auto& precision = narrow.posterior->precision;
-  EXPECT_TRUE((wide.misfit * wide.posterior->precision).isApprox(precision, 1e-9));
+  EXPECT_TRUE((wide.misfit * wide.posterior->precision).isApprox(precision, 1e-6));
+  EXPECT_TRUE((0.5 * (1.0 + wide.misfit) * between.posterior->precision).isApprox(precision, 1e-6));
   EXPECT_LT(narrow.knowledge.width.sum(), wide.knowledge.width.sum());
 }
 
-TEST(Estimator, AShapeThatFitsIsNotNarrowedByTheBirgeRatio) {
+TEST(Estimator, ShapesWhoseErrorsGoTogetherSayLess) {
   Bench bench;
-  auto request = bench.observe(draw(6), 6);
-  for (Index j = 1; j <= kSegments; ++j) {
-    Observation exact{.positions = *request.start};  // without the world's noise
-    for (Index k = 0; k < exact.positions.size(); ++k)
-      exact.positions.data()[k] += bench.world.slope(j, k).dot(draw(6));
-    request.observations[static_cast<std::size_t>(j - 1)] = std::make_shared<const Observation>(exact);
-  }
-  const Estimate with = bench.estimate(request);
-  ASSERT_LT(with.misfit, 0.5);
-  bench.params.birge_ratio = false;
-  EXPECT_EQ(bench.estimate(request).knowledge.width, with.knowledge.width);
+  const auto request = bench.observe(draw(6), 6);
+  bench.params.effective_coordinates = 4.0;
+  bench.params.misfit_prior = 1e9;
+  const Estimate independent = bench.estimate(request);
+  bench.params.shape_correlation = 0.5;
+  const Estimate correlated = bench.estimate(request);
+  // Three shapes at rho = 1/2 are worth 1.5.
+  EXPECT_TRUE((2.0 * correlated.posterior->precision).isApprox(independent.posterior->precision, 1e-6));
+  bench.params.shape_correlation = 1.0;
+  EXPECT_TRUE((3.0 * bench.estimate(request).posterior->precision).isApprox(independent.posterior->precision, 1e-6));
 }
 
 TEST(Estimator, StartsFromThePrecedingEstimate) {

@@ -24,9 +24,10 @@ struct EstimatorParams {
   double width_prior = 0.02;
   double width_offset = 0.03;
   double effective_coordinates = 20.0;
+  double shape_correlation = 0.0;
+  double misfit_prior = 5.0;
   double start_height_sigma_m = 0.0002;
   double difference_step = 0.05;
-  bool birge_ratio = true;
   std::vector<double> deviation_scale;
 
   template <class Visitor>
@@ -44,14 +45,16 @@ struct EstimatorParams {
     v("width_offset", width_offset, range(1e-6, 1), "prior: keeps its logarithm finite at w = 0.");
     v("effective_coordinates", effective_coordinates, range(1e-3, 1e9),
       "posterior: independent measurements that the coordinates of one shape are worth.");
+    v("shape_correlation", shape_correlation, range(0, 1),
+      "posterior: correlation rho of the predictor's errors between the shapes of a sequence: n shapes are worth "
+      "n / (1 + (n - 1) rho).");
+    v("misfit_prior", misfit_prior, range(0, 1e9),
+      "posterior: measurements' worth of belief that sigma is right, against what the residuals say; 1e9: it is.");
     v("start_height_sigma_m", start_height_sigma_m, range(0, 1, "m"),
-      "posterior: the start shape lies flat, at the thickness of the cloth, up to this and to what the observation "
-      "says "
-      "of its own errors; 0: do not use that.");
+      "posterior: the start shape lies flat, at the thickness of the cloth, up to this and to the declared errors of "
+      "the observation; 0: do not use that.");
     v("difference_step", difference_step, range(1e-6, 0.5),
       "posterior: step of the differences that give its precision.");
-    v("birge_ratio", birge_ratio,
-      "posterior: where the shapes lie farther from the best prediction than its sigma says, widen by that ratio.");
     v("deviation_scale", deviation_scale, range(1e-3, 1e3),
       "posterior: factors on its standard deviations, [friction, bend, stretch, thickness]; default 1. `weft evaluate "
       "estimation` reports those that calibrate it.");
