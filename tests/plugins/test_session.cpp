@@ -190,7 +190,12 @@ TEST_F(Session, SeesNoisyAndPartialShapesAndIsJudgedByTheTruth) {
   EXPECT_EQ(one.final_shape, two.final_shape);
   EXPECT_NE(one.rounds.back().observed, one.final_shape);
   EXPECT_EQ(one.error_mm, mean_distance_mm(one.final_shape, one.goal));
-  EXPECT_LT(mean_distance_mm(one.rounds.back().observed, one.final_shape), 100.0);
+  // 56 % of the vertices are seen, to within the noise; the others are where the plan expected them.
+  std::vector<double> off;
+  for (Index v = 0; v < one.final_shape.rows(); ++v)
+    off.push_back((one.rounds.back().observed.row(v) - one.final_shape.row(v)).norm());
+  std::nth_element(off.begin(), off.begin() + static_cast<std::ptrdiff_t>(off.size() / 2), off.end());
+  EXPECT_LT(off[off.size() / 2], 0.012);
 }
 
 TEST_F(Session, HiddenVerticesStayHiddenAndNoiseIsAsLargeAsItSays) {
