@@ -228,6 +228,22 @@ TEST(BulletState, SnapshotInMidGraspAndWorldsOnFourThreadsAreBitExact) {
   for (const auto& shape : shapes) EXPECT_EQ(alone, shape);
 }
 
+TEST(BulletFolds, RandomFoldsOfTheTShirtNeitherCrossNorSinkAndSettle) {
+  const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/experiments/physics_bullet.yaml");
+  PhysicsExperimentParams params;
+  read_params(config, params);
+  params.physics.tests = {"folds"};
+  params.physics.folds.first_seed = 2;
+  params.physics.folds.count = 2;  // docs/simulators.md has 200
+  const auto host = test_host();
+  const auto task = std::make_shared<const Task>(make_task(params.task, config, *host));
+  const auto cases = physics_cases(params.physics, task);
+  ASSERT_EQ(cases.size(), 1u);
+  const auto rows = run_physics_case(cases[0], {{"bullet", [&] { return host->create<Simulator>(task->simulator); }}});
+  EXPECT_EQ(rows.size(), 5u);
+  for (const auto& row : rows) EXPECT_TRUE(row.passed) << format_physics_row(row);
+}
+
 TEST(BulletFriction, ThresholdIsTanAlphaEqualsMuWithinFivePercent) {
   const auto towel = std::make_shared<const Garment>(shipped("towel_coarse.obj"));
   const auto sim = test_host()->create<Simulator>(slot());
