@@ -22,9 +22,6 @@ constexpr double kSink = 0.08, kSinkScaled = 0.04;
 // A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
 constexpr double kRise = 0.05;
 
-inline __m256d load(const Double4& a) { return _mm256_load_pd(&a.x); }
-inline void store(Double4& a, __m256d value) { _mm256_store_pd(&a.x, value); }
-
 /// Rounds to fixed point modulo 2^32: adding 1.5 2^52 leaves the integer in the low bits of the double.
 inline Fixed4 to_fixed(__m256d x, __m256d per_unit) {
   const __m256d magic = _mm256_set1_pd(6755399441055744.0);
@@ -101,7 +98,7 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   state_.v_float.resize(n);
   state_.x_fixed.resize(n);
   state_.inverse_mass.resize(n);
-  state_.moved.assign(n, 0.0f);
+  state_.moved.assign(padded(n), 0.0f);
   state_.held.reserve(64);
   for (Index i = 0; i < n; ++i) {
     const bool pinned = pinned_[i] != 0;
@@ -116,7 +113,7 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   forces_.assign(n, Float4{});
   free_.assign(scaling_->stages() > 1 ? n : 0, Float4{});
   reach_.assign(n, 0.0f);
-  bound_.assign(n, 0.0f);
+  bound_.assign(padded(n), 0.0f);
   start_.reserve(64);
   target_.reserve(64);
   positions_.resize(n, 3);
@@ -340,6 +337,25 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
   publish();
 }
 
+struct Cloth::Gain {
+  double dt;
+  __m256d gravity, keep;
+  Gain(double step, double drag, const Vec3& g)
+      : dt(step),
+        gravity(_mm256_setr_pd(step * g.x(), step * g.y(), step * g.z(), 0.0)),
+        keep(_mm256_set1_pd(1.0 / (1.0 + step * drag))) {}
+};
+
+/// (v + dt (f / m + g)) / (1 + dt drag).
+inline __m256d Cloth::accelerated(std::int32_t i, const Gain& gain) const {
+  const __m256d v = load(state_.v[i]);
+  const float w = state_.inverse_mass[i];
+  if (w == 0.0f) return v;
+  const __m256d f = _mm256_cvtps_pd(_mm_load_ps(&forces_[i].x));
+  const __m256d change = _mm256_fmadd_pd(f, _mm256_set1_pd(gain.dt * static_cast<double>(w)), gain.gravity);
+  return _mm256_mul_pd(_mm256_add_pd(v, change), gain.keep);
+}
+
 /// One symplectic step. @return above zero when a vertex has moved beyond its bound: the block must end.
 double Cloth::substep(double dt, double drag, const float* bound, const Double4* start, const Double4* targets,
                       double part) {
@@ -352,18 +368,21 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
     contact_->add_forces(state_.contact, state_.v_float.data(), static_cast<float>(dt), forces_.data());
   }
 
+  const bool stop = params_.self_contact && contact_->has_fast();
+  // Where nothing comes between the two, a vertex is accelerated when it moves, which saves a pass over the vertices.
+  const bool together = scaling_->stages() == 1 && !stop;
+  const Gain gain(dt, drag, scene_.gravity);
   if (scaling_->stages() > 1)
     accelerate_scaled(dt, drag);
-  else
-    accelerate(dt, drag);
-  if (params_.self_contact && contact_->has_fast())
-    contact_->stop(state_.x.data(), dt, floor_, fabric_.friction, state_.inverse_mass.data(), state_.v.data());
+  else if (!together)
+    for (std::int32_t i = 0; i < n; ++i) store(state_.v[i], accelerated(i, gain));
+  if (stop) contact_->stop(state_.x.data(), dt, floor_, fabric_.friction, state_.inverse_mass.data(), state_.v.data());
 
   // Ground, then move.
   const double mu = fabric_.friction;
   const __m256d step = _mm256_set1_pd(dt), per_unit = _mm256_set1_pd(1.0 / elements_->unit());
-  const float dt_float = static_cast<float>(dt);
-  float excess = 0.0f, strayed = 0.0f;
+  const __m128 step_float = _mm_set1_ps(static_cast<float>(dt));
+  __m128 excess = _mm_setzero_ps(), strayed = _mm_setzero_ps();
   SelfContact::State& contact = state_.contact;
   contact.elapsed += dt;
   const __m256d elapsed = _mm256_set1_pd(contact.elapsed);
@@ -373,28 +392,40 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
   Float4* v_float = state_.v_float.data();
   Fixed4* x_fixed = state_.x_fixed.data();
   float *moved = state_.moved.data(), *path = contact.path.data();
-  for (std::int32_t i = 0; i < n; ++i) {
-    __m256d x = load(xs[i]), v = load(vs[i]);
-    const double low = xs[i].z, sink = vs[i].z;
+  // @return the vertex's new velocity and its distance from the path that its candidates were found for.
+  const auto move = [&](std::int32_t i, __m128& velocity, __m128& off) {
+    const __m256d x = load(xs[i]);
+    __m256d v = together ? accelerated(i, gain) : load(vs[i]);
+    const double low = xs[i].z, sink = _mm_cvtsd_f64(_mm256_extractf128_pd(v, 1));
     __m256d next = _mm256_fmadd_pd(v, step, x);
     if (low + dt * sink < floor_ && inverse_mass[i] != 0.0f) {
-      meet_ground(xs[i], dt, floor_, mu, vs[i]);
-      v = load(vs[i]);
+      v = meet_ground(low, dt, floor_, mu, v);
       const double z = low > floor_ ? floor_ : std::min(low + std::max(kRise, sink) * dt, floor_);
       next = _mm256_blend_pd(_mm256_fmadd_pd(v, step, x), _mm256_set1_pd(z), 4);
     }
-    x = next;
-    store(xs[i], x);  // what is held is made exact below
-    const __m128 vf = _mm256_cvtpd_ps(v);
-    _mm_store_ps(&v_float[i].x, vf);
-    x_fixed[i] = to_fixed(x, per_unit);
-    const float way = dt_float * _mm_cvtss_f32(_mm_sqrt_ss(_mm_dp_ps(vf, vf, 0x71)));
-    moved[i] = way;
-    path[i] += way;
-    excess = std::max(excess, path[i] - bound[i]);
+    store(vs[i], v);
+    store(xs[i], next);  // what is held is made exact below
+    velocity = _mm256_cvtpd_ps(v);
+    _mm_store_ps(&v_float[i].x, velocity);
+    x_fixed[i] = to_fixed(next, per_unit);
     const __m256d straight = _mm256_fmadd_pd(load(drift[i]), elapsed, load(from[i]));
-    const __m128 off = _mm256_cvtpd_ps(_mm256_sub_pd(x, straight));
-    strayed = std::max(strayed, _mm_cvtss_f32(_mm_dp_ps(off, off, 0x71)));
+    off = _mm256_cvtpd_ps(_mm256_sub_pd(next, straight));
+  };
+  for (std::int32_t i = 0; i < n; i += 4) {
+    __m128 velocity[4], off[4];
+    if (i + 4 <= n) {
+      for (int k = 0; k < 4; ++k) move(i + k, velocity[k], off[k]);
+    } else {
+      for (int k = 0; k < 4; ++k) velocity[k] = off[k] = _mm_setzero_ps();
+      for (int k = 0; i + k < n; ++k) move(i + k, velocity[k], off[k]);
+    }
+    const __m128 way =
+        _mm_mul_ps(step_float, _mm_sqrt_ps(squares4(velocity[0], velocity[1], velocity[2], velocity[3])));
+    _mm_storeu_ps(moved + i, way);
+    const __m128 ways = _mm_add_ps(_mm_loadu_ps(path + i), way);
+    _mm_storeu_ps(path + i, ways);
+    excess = _mm_max_ps(_mm_sub_ps(ways, _mm_loadu_ps(bound + i)), excess);
+    strayed = _mm_max_ps(squares4(off[0], off[1], off[2], off[3]), strayed);
   }
   for (std::size_t k = 0; k < state_.held.size(); ++k) {
     const std::int32_t i = state_.held[k];
@@ -405,26 +436,11 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
   }
   if (!params_.self_contact) return 0.0;
   const double slack = contact_->slack();
-  if (strayed > slack * slack) {
+  if (largest_of(strayed) > slack * slack) {
     contact.valid = false;
     return 1.0;
   }
-  return excess;
-}
-
-/// v = (v + dt (f / m + g)) / (1 + dt drag).
-void Cloth::accelerate(double dt, double drag) {
-  const auto n = static_cast<std::int32_t>(state_.x.size());
-  const __m256d gravity =
-      _mm256_setr_pd(dt * scene_.gravity.x(), dt * scene_.gravity.y(), dt * scene_.gravity.z(), 0.0);
-  const __m256d keep = _mm256_set1_pd(1.0 / (1.0 + dt * drag));
-  for (std::int32_t i = 0; i < n; ++i) {
-    const float w = state_.inverse_mass[i];
-    if (w == 0.0f) continue;
-    const __m256d f = _mm256_cvtps_pd(_mm_load_ps(&forces_[i].x));
-    const __m256d gain = _mm256_fmadd_pd(f, _mm256_set1_pd(dt * static_cast<double>(w)), gravity);
-    store(state_.v[i], _mm256_mul_pd(_mm256_add_pd(load(state_.v[i]), gain), keep));
-  }
+  return largest_of(excess);
 }
 
 /// The ground's reaction on a vertex that is on it, or comes to it in this step. Friction brakes what moves and, with

@@ -47,7 +47,7 @@ class Cloth final : public Simulator {
     std::vector<Float4> v_float;      ///< v, as the forces read it
     std::vector<Fixed4> x_fixed;      ///< x, as the forces read it
     std::vector<float> inverse_mass;  ///< 1/kg, zero for held and pinned vertices
-    std::vector<float> moved;         ///< m, in the last substep
+    std::vector<float> moved;         ///< [padded] m, in the last substep
     std::vector<std::int32_t> held;   ///< in step()'s order
     SelfContact::State contact;
     float stiffening = 1.0f;  ///< largest squared stretch in the last substep
@@ -62,7 +62,8 @@ class Cloth final : public Simulator {
   void hold(std::int32_t vertex);
   void advance(const Double4* targets, double extra_drag);
   double substep(double dt, double drag, const float* bound, const Double4* start, const Double4* targets, double part);
-  void accelerate(double dt, double drag);
+  struct Gain;
+  __m256d accelerated(std::int32_t i, const Gain& gain) const;
   void accelerate_scaled(double dt, double drag);
   void rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, Float4& free) const;
   void refresh_derived();

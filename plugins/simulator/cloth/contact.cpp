@@ -355,7 +355,7 @@ void SelfContact::clear(State& state) const {
   scratch_.soon_faces.reserve(16 * n);
   scratch_.soon_edges.reserve(32 * n);
   scratch_.fast.reserve(16 * n);
-  state.path.assign(n, 0.0f);
+  state.path.assign(padded(n), 0.0f);
   state.start.assign(n, Double4{});
   state.drift.assign(n, Double4{});
   state.touching = 0;
@@ -897,7 +897,8 @@ void SelfContact::stop(const Double4* x, double dt, double floor, double ground_
   stop_pairs(x, dt, floor, inverse_mass, v, false);
   for (const std::int32_t index : scratch_.fast)
     for (const std::int32_t i : scratch_.active[index].v)
-      if (inverse_mass[i] != 0.0f && x[i].z + dt * v[i].z < floor) meet_ground(x[i], dt, floor, ground_friction, v[i]);
+      if (inverse_mass[i] != 0.0f && x[i].z + dt * v[i].z < floor)
+        store(v[i], meet_ground(x[i].z, dt, floor, ground_friction, load(v[i])));
   stop_pairs(x, dt, floor, inverse_mass, v, true);
 }
 

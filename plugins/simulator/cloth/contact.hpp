@@ -11,17 +11,19 @@
 
 namespace weft::cloth {
 
-/// Velocity of a vertex that would go below the ground in the step x += dt v. The normal impulse is what keeps it
-/// above; the tangential one is at most mu times it, against the motion, and takes all of it where it can: sticking is
-/// exactly at rest.
-inline void meet_ground(const Double4& x, double dt, double floor, double mu, Double4& v) {
-  const double allowed = x.z > floor ? (floor - x.z) / dt : 0.0;  // <= 0
-  const double stopped = std::max(0.0, allowed - v.z);
-  const double sliding = std::sqrt(v.x * v.x + v.y * v.y);
+/// Velocity of a vertex at height z that would go below the ground in the step x += dt v. The normal impulse is what
+/// keeps it above; the tangential one is at most mu times it, against the motion, and takes all of it where it can:
+/// sticking is exactly at rest.
+inline __m256d meet_ground(double z, double dt, double floor, double mu, __m256d v) {
+  const __m128d xy = _mm256_castpd256_pd128(v);
+  const double vx = _mm_cvtsd_f64(xy), vy = _mm_cvtsd_f64(_mm_unpackhi_pd(xy, xy));
+  const double vz = _mm_cvtsd_f64(_mm256_extractf128_pd(v, 1));
+  const double allowed = z > floor ? (floor - z) / dt : 0.0;  // <= 0
+  const double stopped = std::max(0.0, allowed - vz);
+  const double sliding = std::sqrt(vx * vx + vy * vy);
   const double left = sliding <= mu * stopped ? 0.0 : 1.0 - mu * stopped / sliding;
-  v.x *= left;
-  v.y *= left;
-  v.z = std::max(v.z, allowed);
+  // In registers: three numbers stored and read again as one vector would stall the load.
+  return _mm256_blend_pd(_mm256_mul_pd(v, _mm256_set1_pd(left)), _mm256_set1_pd(std::max(vz, allowed)), 4);
 }
 
 /// Contact of the cloth with itself: vertex-triangle and edge-edge pairs.
@@ -66,7 +68,7 @@ class SelfContact {
   struct State {
     bool valid = false;
     std::vector<Candidate> vertex_triangle, edge_edge;
-    std::vector<float> path;  ///< [V] m moved since the candidates were found
+    std::vector<float> path;  ///< [padded(V)] m moved since the candidates were found
     // The candidates are good while every vertex is within `slack` of start + drift * elapsed, and elapsed <= horizon.
     std::vector<Double4> start, drift;    ///< [V] m, m/s: state when they were found
     double elapsed = 0.0, horizon = 0.0;  ///< s

@@ -75,7 +75,7 @@ Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&
     make_patch(f, patches_[f]);
     ElementBlock& block = blocks_[f / 8];
     const int lane = f % 8;
-    for (int k = 0; k < 6; ++k) block.node[k][lane] = patches_[f].node[k];
+    for (int k = 0; k < 6; ++k) block.node[k][lane] = offset_of(patches_[f].node[k]);
     for (int k = 0; k < 4; ++k) block.gradient[k][lane] = static_cast<float>(gradient_[f][k] * unit_);
   }
 
@@ -199,28 +199,34 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
   const F8 per_unit = splat(static_cast<float>(1.0 / unit_));
   const F8 damp_stretch = splat(static_cast<float>(fabric_.damping_stretch_s)) * per_unit;
   const F8 damp_bend = splat(static_cast<float>(fabric_.damping_bend_s)) * per_unit;
+  constexpr int kRates = kDampBend ? 5 : kDampStretch ? 2 : 0;
   F8 largest = one;
   for (const ElementBlock& block : blocks_) {
     const auto row = [](const float(&values)[8]) { return _mm256_load_ps(values); };
     const Fixed8 origin = load8(x, block.node[0]);
+    [[maybe_unused]] const Vec8 origin_rate = load8(v, block.node[0]);
     Vec8 d[5];
-    for (int k = 0; k < 5; ++k) d[k] = difference(load8(x, block.node[k + 1]), origin);
+    [[maybe_unused]] Vec8 rate[5];
+    for (int k = 0; k < 5; ++k) {
+      d[k] = difference(load8(x, block.node[k + 1]), origin);
+      if (k < kRates) rate[k] = load8(v, block.node[k + 1]) - origin_rate;
+    }
 
     // Membrane. F = [x_u x_v]; P = F S; force on corner i = -P grad N_i.
     const F8 g0 = row(block.gradient[0]), g1 = row(block.gradient[1]);
     const F8 g2 = row(block.gradient[2]), g3 = row(block.gradient[3]);
     const Vec8 fu = fma(g1, d[1], g0 * d[0]), fv = fma(g3, d[1], g2 * d[0]);
+    [[maybe_unused]] Vec8 n;  // unit normal; early, since root and division take long
+    if constexpr (kDampBend) {
+      n = cross(fu, fv);
+      n = (one / _mm256_sqrt_ps(max8(dot(n, n), splat(1e-12f)))) * n;
+    }
     const F8 uu = dot(fu, fu), vv = dot(fv, fv);
     F8 e11 = half * (uu - one), e22 = half * (vv - one), shear = dot(fu, fv);
     {
       // Larger eigenvalue of F^T F.
       const F8 mean = half * (uu + vv), apart = half * (uu - vv);
       largest = max8(largest, mean + _mm256_sqrt_ps(fma(apart, apart, shear * shear)));
-    }
-    Vec8 rate[5];
-    if constexpr (kDampStretch || kDampBend) {
-      const Vec8 v0 = load8(v, block.node[0]);
-      for (int k = 0; k < (kDampBend ? 5 : 2); ++k) rate[k] = load8(v, block.node[k + 1]) - v0;
     }
     if constexpr (kDampStretch) {
       const F8 s = damp_stretch;
@@ -246,8 +252,6 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
     }
     if constexpr (kDampBend) {
       // Only along the normal, where curvature lies: turning as a whole changes y across it, and is not damped.
-      Vec8 n = cross(fu, fv);
-      n = (one / _mm256_sqrt_ps(max8(dot(n, n), splat(1e-12f)))) * n;
       F8 along[5];
       for (int k = 0; k < 5; ++k) along[k] = dot(rate[k], n);
       for (int k = 0; k < 3; ++k) {
@@ -265,8 +269,7 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
     }
     out[0] = ((out[1] + out[2]) + (out[3] + out[4])) + out[5];
     add8(forces, block.node[0], out[0]);
-    const F8 minus = splat(-1.0f);
-    for (int j = 1; j < 6; ++j) add8(forces, block.node[j], minus * out[j]);
+    for (int j = 1; j < 6; ++j) subtract8(forces, block.node[j], out[j]);
   }
   alignas(32) float lanes[8];
   _mm256_store_ps(lanes, largest);

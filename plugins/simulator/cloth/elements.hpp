@@ -31,10 +31,10 @@ BendingModuli bending_moduli(const MaterialTables& tables, double multiplier, do
 
 /// Eight triangles, lane by lane. Padding lanes have zero stiffness and vertex 0.
 struct alignas(32) ElementBlock {
-  std::int32_t node[6][8];  ///< the triangle's corners, then the vertex across from each (or corner 0: weight 0)
-  float gradient[4][8];     ///< u from edges 1, 2; v from edges 1, 2: x_u = g0 (x1 - x0) + g1 (x2 - x0); times unit
-  float stiffness[4][8];    ///< area (c11, c12, c22, g) / unit, N m
-  float bend[3][5][8];      ///< row k: sqrt(area eigenvalue) times second derivative, of nodes 1..5 relative to node 0
+  Offset node[6][8];      ///< the triangle's corners, then the vertex across from each (or corner 0: weight 0)
+  float gradient[4][8];   ///< u from edges 1, 2; v from edges 1, 2: x_u = g0 (x1 - x0) + g1 (x2 - x0); times unit
+  float stiffness[4][8];  ///< area (c11, c12, c22, g) / unit, N m
+  float bend[3][5][8];    ///< row k: sqrt(area eigenvalue) times second derivative, of nodes 1..5 relative to node 0
 };
 
 /// The internal forces: constant-strain membrane triangles and six-node bending patches.
