@@ -434,6 +434,20 @@ async function realAblation() {
   await page.close();
 }
 
+/** Two simulators side by side: cases in the place of seeds, errors that are small numbers. */
+async function realSimulators() {
+  const config = path.join(folder, 'simulators.yaml'), out = path.join(folder, 'real-simulators');
+  writeFileSync(config, 'task: fold.yaml\nmeasure: physics\nset: {physics.tests: [free fall, rest]}\nfactors: {simulator: {cloth: {simulator: {plugin: cloth}}, bullet: {simulator: {plugin: bullet}}}}\n');
+  run(weft, 'ablate', config, '--quiet', '--out', out);
+  const page = await open(path.join(out, 'report.html'));
+  assert.match(await text(page, 'header'), /2 arms.*2 cases/s);
+  const metric = 'free fall: within bounds', error = Object.keys(json('real-simulators', 'ablation.json').arms[0].metrics).find((name) => name.startsWith('free fall') && name !== metric);
+  assert.equal(await shown(page, `bullet ${metric}`), '1.00');
+  assert.match(await shown(page, `cloth ${error}`), /^0\.0*[1-9]/);
+  assert.deepEqual(page.problems, []);
+  await page.close();
+}
+
 async function exports() {
   const session = path.join(folder, 'session');
   run(weft, 'export', session, '--to', 'gltf', '--to', 'csv', '--to', 'usd', '--to', 'obj', '--png', '0,last', '--size', '640x400', '--every', '24', '--quiet');
@@ -487,6 +501,7 @@ try {
   await realEvaluations();
   await ablationPage();
   await realAblation();
+  await realSimulators();
   await exports();
 } finally {
   await context.close();
