@@ -9,6 +9,7 @@
 #include "predictor/emd/emd.hpp"
 #include "trajectory/arc/arc.cpp"
 #include "weft/batching.hpp"
+#include "weft/garment_generator.hpp"
 #include "weft/registry.hpp"
 
 namespace {
@@ -16,10 +17,9 @@ namespace {
 using namespace weft;
 
 struct Bench {
-  explicit Bench(int threads, Index instances, Index segments, bool every_shape)
+  explicit Bench(int threads, Index instances, Index segments, bool every_shape, std::int64_t edge_um = 0)
       : host(make_host(std::make_shared<PluginRegistry>(), {.threads = threads})), predictor(untrained(), *host) {
-    task.garment = std::make_shared<const Garment>(read_garment(ConfigNode::parse(
-        std::string("{mesh: ") + WEFT_SOURCE_DIR "/configs/garments/tshirt.obj, name: tshirt}", "bench")));
+    task.garment = std::make_shared<const Garment>(garment(edge_um));
     task.trajectory = std::make_shared<const arc::Arc>(arc::Params{});
     task.material.ranges = {{{0.2, 0.9, false}, {0.5, 2.0, true}, {0.5, 2.0, true}, {0.001, 0.002, false}}};
     task.manipulation.grasp_vertices = {0, 1};
@@ -37,10 +37,22 @@ struct Bench {
       cases.push_back(std::move(one));
     }
   }
+  /// The T-shirt that ships, or the same outline with edges of that length.
+  static Garment garment(std::int64_t edge_um) {
+    if (edge_um == 0)
+      return read_garment(ConfigNode::parse(
+          std::string("{mesh: ") + WEFT_SOURCE_DIR "/configs/garments/tshirt.obj, name: tshirt}", "bench"));
+    return make_garment(generate_mesh(shirt_outline({}), {.edge_m = 1e-6 * static_cast<double>(edge_um)}).mesh,
+                        "shirt");
+  }
   static emd::Params untrained() {
     emd::Params params;
     params.untrained = true;
     return params;
+  }
+  void predict_and_pull() const {
+    const auto prediction = predictor.predict(cases, {.moments = Moments::mean, .gradients = true});
+    benchmark::DoNotOptimize(prediction->pullback(cotangents));
   }
   Task task;
   std::unique_ptr<Host> host;
@@ -52,10 +64,7 @@ struct Bench {
 /// Arguments: threads, instances, segments, 1: every shape (estimation) or 0: the last one (planning).
 void predict_and_pullback(benchmark::State& state) {
   Bench bench(static_cast<int>(state.range(0)), state.range(1), state.range(2), state.range(3) != 0);
-  for (auto _ : state) {
-    const auto prediction = bench.predictor.predict(bench.cases, {.moments = Moments::mean, .gradients = true});
-    benchmark::DoNotOptimize(prediction->pullback(bench.cotangents));
-  }
+  for (auto _ : state) bench.predict_and_pull();
   state.SetItemsProcessed(state.iterations() * state.range(1) * state.range(2));
 }
 BENCHMARK(predict_and_pullback)
@@ -66,6 +75,20 @@ BENCHMARK(predict_and_pullback)
     ->Args({1, 64, 25, 0})
     ->Unit(benchmark::kMillisecond)
     ->UseRealTime();
+
+/// The same on one thread, by instances, segments and vertices around planning's 16, 25 and the T-shirt.
+/// Arguments: instances, segments, edge length in um of a shirt (0: the T-shirt that ships).
+void cost(benchmark::State& state) {
+  Bench bench(1, state.range(0), state.range(1), false, state.range(2));
+  for (auto _ : state) bench.predict_and_pull();
+  state.counters["vertices"] = static_cast<double>(bench.task.garment->vertex_count());
+}
+BENCHMARK(cost)
+    ->ArgNames({"instances", "segments", "edge_um"})
+    ->ArgsProduct({{1, 4, 16, 64}, {25}, {0}})
+    ->ArgsProduct({{16}, {5, 10, 40}, {0}})
+    ->ArgsProduct({{16}, {25}, {40000, 20000, 10000, 5000}})
+    ->Unit(benchmark::kMillisecond);
 
 void predict_only(benchmark::State& state) {
   Bench bench(static_cast<int>(state.range(0)), state.range(1), state.range(2), false);
