@@ -35,10 +35,18 @@ inline Vec8 scaled(const Vec8& a, float s) { return splat(s) * a; }
 
 Vec8 unit_vector(const Vec8& r, F8 length) { return (splat(1.0f) / max8(length, splat(1e-12f))) * r; }
 
+/// What a pair's side is told by: its last normal, where known, within reach.
+struct Memory {
+  Vec8 normal;
+  F8 known;  // mask
+  F8 reach;  // m
+};
+
 /// Vertex against triangle; Ericson (2005, sec. 5.1.5) without branches: the interior projection where it exists, else
 /// the nearest of the three edges.
-Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac, const Vec8& memory, F8 known,
-                                 F8 reach) {
+/// @param memory null: the side is where the vertex stands.
+[[gnu::always_inline]] inline Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac,
+                                                               const Memory* memory) {
   const F8 zero = splat(0.0f), one = splat(1.0f);
   const F8 d00 = dot(ab, ab), d01 = dot(ab, ac), d11 = dot(ac, ac), d20 = dot(ap, ab), d21 = dot(ap, ac);
   const F8 denominator = max8(d00 * d11 - d01 * d01, splat(1e-30f));
@@ -65,14 +73,15 @@ Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac,
   Vec8 n = cross(ab, ac);
   n = unit_vector(n, _mm256_sqrt_ps(dot(n, n)));
   F8 height = dot(ap, n);
-  // Side: as remembered, else as it stands. Further than `reach` on the other side it has come round the border.
-  // (A memory that lies in the triangle's plane, from an approach past the border, knows no side.)
-  const F8 remembered = dot(memory, n);
-  const F8 same = less(zero, remembered);
-  known = both(known, less(splat(0.2f), _mm256_andnot_ps(splat(-0.0f), remembered)));
-  const F8 above = less(zero, height);
-  const F8 near = less(_mm256_andnot_ps(splat(-0.0f), height), reach);
-  const F8 side_up = select(both(known, near), same, above);
+  F8 side_up = less(zero, height);
+  if (memory) {
+    // Side: as remembered, else as it stands. Further than `reach` on the other side it has come round the border.
+    // (A memory that lies in the triangle's plane, from an approach past the border, knows no side.)
+    const F8 remembered = dot(memory->normal, n);
+    const F8 knows = both(memory->known, less(splat(0.2f), _mm256_andnot_ps(splat(-0.0f), remembered)));
+    const F8 near = less(_mm256_andnot_ps(splat(-0.0f), height), memory->reach);
+    side_up = select(both(knows, near), less(zero, remembered), side_up);
+  }
   n = select(side_up, n, scaled(n, -1.0f));
   height = select(side_up, height, zero - height);
 
@@ -89,7 +98,8 @@ Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac,
 }
 
 /// Edge against edge; Ericson (2005, sec. 5.1.9). r = first - second start.
-Measured measure_edge_edge(const Vec8& d1, const Vec8& d2, const Vec8& r, const Vec8& memory, F8 known, F8 reach) {
+[[gnu::always_inline]] inline Measured measure_edge_edge(const Vec8& d1, const Vec8& d2, const Vec8& r,
+                                                         const Memory* memory) {
   const F8 zero = splat(0.0f), one = splat(1.0f);
   const F8 a = dot(d1, d1), e = dot(d2, d2), b = dot(d1, d2), c = dot(d1, r), f = dot(d2, r);
   const F8 denominator = a * e - b * b;
@@ -99,13 +109,16 @@ Measured measure_edge_edge(const Vec8& d1, const Vec8& d2, const Vec8& r, const 
   s = clamp01((b * t - c) / a);
   const Vec8 gap = fnma(t, d2, fma(s, d1, r));
   const F8 length = _mm256_sqrt_ps(dot(gap, gap));
-  Vec8 n = unit_vector(gap, length);
-  const F8 inside = both(both(less(zero, s), less(s, one)), both(less(zero, t), less(t, one)));
-  const F8 flipped = both(both(known, inside), both(less(dot(memory, n), zero), less(length, reach)));
   Measured m;
-  m.inside = inside;
-  m.distance = select(flipped, zero - length, length);
-  m.normal = select(flipped, scaled(n, -1.0f), n);
+  m.inside = both(both(less(zero, s), less(s, one)), both(less(zero, t), less(t, one)));
+  m.distance = length;
+  m.normal = unit_vector(gap, length);
+  if (memory) {
+    const F8 flipped = both(both(memory->known, m.inside),
+                            both(less(dot(memory->normal, m.normal), zero), less(length, memory->reach)));
+    m.distance = select(flipped, zero - length, length);
+    m.normal = select(flipped, scaled(m.normal, -1.0f), m.normal);
+  }
   m.weight[0] = one - s;
   m.weight[1] = s;
   m.weight[2] = t - one;
@@ -113,32 +126,31 @@ Measured measure_edge_edge(const Vec8& d1, const Vec8& d2, const Vec8& r, const 
   return m;
 }
 
-/// Measures eight candidates (indices into list); lanes beyond count repeat the first.
-struct Lanes {
-  alignas(32) std::int32_t vertex[4][8];
-  alignas(32) float memory[3][8];
-  alignas(32) float reach[8];
-};
-template <bool kEdges>
-Measured measure(const SelfContact::Candidate* const* list, int count, const Fixed4* x, float unit) {
-  Lanes lanes;
-  for (int lane = 0; lane < 8; ++lane) {
-    const SelfContact::Candidate& candidate = *list[lane < count ? lane : 0];
-    for (int k = 0; k < 4; ++k) lanes.vertex[k][lane] = candidate.v[k];
-    for (int k = 0; k < 3; ++k) lanes.memory[k][lane] = candidate.normal[k];
-    lanes.reach[lane] = kEdges ? 0.5f * candidate.distance : candidate.distance;
-  }
-  const Vec8 memory{_mm256_load_ps(lanes.memory[0]), _mm256_load_ps(lanes.memory[1]), _mm256_load_ps(lanes.memory[2])};
-  const F8 known = less(splat(0.5f), dot(memory, memory));
-  const F8 reach = _mm256_load_ps(lanes.reach);
-  const Fixed8 p0 = load8(x, lanes.vertex[0]), p1 = load8(x, lanes.vertex[1]);
-  const Fixed8 p2 = load8(x, lanes.vertex[2]), p3 = load8(x, lanes.vertex[3]);
+/// @param vertex (k, lane): index of the pair's k-th vertex.
+template <bool kEdges, class Vertex>
+[[gnu::always_inline]] inline Measured measure(Vertex&& vertex, const Memory* memory, const Fixed4* x, float unit) {
+  Fixed8 p[4];
+  for (int k = 0; k < 4; ++k) p[k] = load8([&](int lane) { return x + vertex(k, lane); });
   if constexpr (kEdges)
-    return measure_edge_edge(scaled(difference(p1, p0), unit), scaled(difference(p3, p2), unit),
-                             scaled(difference(p0, p2), unit), memory, known, reach);
+    return measure_edge_edge(scaled(difference(p[1], p[0]), unit), scaled(difference(p[3], p[2]), unit),
+                             scaled(difference(p[0], p[2]), unit), memory);
   else
-    return measure_vertex_triangle(scaled(difference(p0, p1), unit), scaled(difference(p2, p1), unit),
-                                   scaled(difference(p3, p1), unit), memory, known, reach);
+    return measure_vertex_triangle(scaled(difference(p[0], p[1]), unit), scaled(difference(p[2], p[1]), unit),
+                                   scaled(difference(p[3], p[1]), unit), memory);
+}
+
+/// Measures eight candidates on the sides that they remember.
+template <bool kEdges>
+Measured measure(const SelfContact::Candidate* const (&list)[8], const Fixed4* x, float unit) {
+  const auto record = [&](auto member) {  // the member and the two numbers after it, of every candidate
+    return as_float(load8([&](int lane) { return &(list[lane]->*member)[0]; }));
+  };
+  Memory memory;
+  memory.normal = record(&SelfContact::Candidate::normal);
+  memory.known = less(splat(0.5f), dot(memory.normal, memory.normal));
+  const auto reach = [&](int lane) { return kEdges ? 0.5f * list[lane]->distance : list[lane]->distance; };
+  memory.reach = _mm256_setr_ps(reach(0), reach(1), reach(2), reach(3), reach(4), reach(5), reach(6), reach(7));
+  return measure<kEdges>([&](int k, int lane) { return list[lane]->v[k]; }, &memory, x, unit);
 }
 
 struct Stored {
@@ -360,8 +372,8 @@ void SelfContact::clear(State& state) const {
   state.drift.assign(n, Double4{});
   state.touching = 0;
   scratch_.old.reserve(48 * n);
-  scratch_.pending_faces.reserve(1024);
-  scratch_.pending_edges.reserve(1024);
+  scratch_.pending_faces.blocks.resize(kMostPending / 8);
+  scratch_.pending_edges.blocks.resize(kMostPending / 8);
   scratch_.table.reserve(128 * n);
   scratch_.position.resize(n);
   scratch_.later.resize(n);
@@ -509,44 +521,52 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     later[i] = {position[i].x + horizon * drift[i].x, position[i].y + horizon * drift[i].y,
                 position[i].z + horizon * drift[i].z, 0.0f};
   }
-  const auto parting = [&](std::int32_t i, std::int32_t j) {  // m/s, relative speed squared
-    const float a = drift[i].x - drift[j].x, b = drift[i].y - drift[j].y, c = drift[i].z - drift[j].z;
-    return a * a + b * b + c * c;
+  const auto each_lane = [](unsigned mask, auto&& body) {
+    for (; mask != 0; mask &= mask - 1) body(__builtin_ctz(mask));
   };
 
-  const Candidate* group[8];
-  std::vector<Candidate>&pending_faces = scratch_.pending_faces, &pending_edges = scratch_.pending_edges;
-  pending_faces.clear();
-  pending_edges.clear();
+  Pending &pending_faces = scratch_.pending_faces, &pending_edges = scratch_.pending_edges;
+  pending_faces.count = pending_edges.count = 0;
   const float unit_f = static_cast<float>(unit);
   // Measures the pending pairs and keeps those that can touch. Their due is 0: activate() measures them with their
   // memory.
-  const auto keep = [&](std::vector<Candidate>& out, auto edges, std::size_t least) {
+  const auto keep = [&](std::vector<Candidate>& out, auto edges, int least) {
     constexpr bool kEdges = decltype(edges)::value;
-    std::vector<Candidate>& pending = kEdges ? pending_edges : pending_faces;
-    if (pending.size() < least) return;
-    for (std::size_t k = 0; k < pending.size(); k += 8) {
-      const int lanes = static_cast<int>(std::min<std::size_t>(8, pending.size() - k));
-      for (int lane = 0; lane < lanes; ++lane) group[lane] = &pending[k + lane];
-      const Stored m(measure<kEdges>(group, lanes, fixed, unit_f));
-      for (int lane = 0; lane < lanes; ++lane) {
-        Candidate& c = pending[k + lane];
-        float apart = m.distance[lane] - c.distance - 2.0f * slack_;
-        if (apart > 0.0f) {
-          float square = 0.0f;
-          constexpr int kSplit = kEdges ? 2 : 1;
-          for (int p = 0; p < kSplit; ++p)
-            for (int q = kSplit; q < 4; ++q) square = std::max(square, parting(c.v[p], c.v[q]));
-          if (apart * apart > square * horizon * horizon) continue;
-        }
+    constexpr int kSplit = kEdges ? 2 : 1;
+    Pending& pending = kEdges ? pending_edges : pending_faces;
+    if (pending.count < least) return;
+    const F8 touching = splat(kEdges ? edge_thickness_ : thickness_), both_slack = splat(2.0f * slack_);
+    for (int first = 0; first < pending.count; first += 8) {
+      PairBlock& block = pending.blocks[first / 8];
+      const int lanes = std::min(8, pending.count - first);
+      for (int lane = lanes; lane < 8; ++lane)
+        for (auto& column : block.v) column[lane] = column[0];
+      const Measured m = measure<kEdges>([&](int k, int lane) { return block.v[k][lane]; }, nullptr, fixed, unit_f);
+      const F8 apart = (m.distance - touching) - both_slack;
+      F8 out_of_reach = less(_mm256_setzero_ps(), apart);
+      if (_mm256_movemask_ps(out_of_reach) != 0) {
+        Vec8 u[4];
+        for (int k = 0; k < 4; ++k) u[k] = load8(drift.data(), block.v[k]);
+        F8 square = _mm256_setzero_ps();  // largest relative speed squared
+        for (int p = 0; p < kSplit; ++p)
+          for (int q = kSplit; q < 4; ++q) {
+            const Vec8 parting = u[p] - u[q];
+            square = max8(square, parting.x * parting.x + parting.y * parting.y + parting.z * parting.z);
+          }
+        out_of_reach = both(out_of_reach, less(square * splat(horizon) * splat(horizon), apart * apart));
+      }
+      each_lane(~static_cast<unsigned>(_mm256_movemask_ps(out_of_reach)) & ((1u << lanes) - 1u), [&](int lane) {
+        Candidate c{};
+        for (int k = 0; k < 4; ++k) c.v[k] = block.v[k][lane];
+        c.face = block.face[lane];
         c.distance = pair_distance(c.v, kEdges);
         c.present = -1.0f;
         c.mass = std::numeric_limits<float>::infinity();
         recall(c, kEdges);
         out.push_back(c);
-      }
+      });
     }
-    pending.clear();
+    pending.count = 0;
   };
 
   // Boxes around now and later, grown by slack and half the thickness: pairs whose boxes meet can come within
@@ -659,25 +679,29 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
 
   state.vertex_triangle.clear();
   state.edge_edge.clear();
-  const auto each_lane = [](unsigned mask, auto&& body) {
-    for (; mask != 0; mask &= mask - 1) body(__builtin_ctz(mask));
+  const auto equal = [](std::int32_t i, const std::int32_t(&lanes)[8]) {
+    const I8 same = _mm256_cmpeq_epi32(_mm256_set1_epi32(i), _mm256_load_si256(reinterpret_cast<const I8*>(lanes)));
+    return static_cast<unsigned>(_mm256_movemask_ps(_mm256_castsi256_ps(same)));
+  };
+  const auto above = [](std::int32_t i, const std::int32_t(&lanes)[8]) {
+    const I8 more = _mm256_cmpgt_epi32(_mm256_load_si256(reinterpret_cast<const I8*>(lanes)), _mm256_set1_epi32(i));
+    return static_cast<unsigned>(_mm256_movemask_ps(_mm256_castsi256_ps(more)));
   };
   const auto vertices_against_faces = [&](const Patch& first, const Patch& second, const Box& second_box) {
     for (std::int32_t b = first.vertices[0]; b < first.vertices[1]; ++b)
       each_lane(meet(second_box, scratch_.vertices[b]), [&](int lane) {
         const Box box = lane_box(scratch_.vertices[b], lane);
         const std::int32_t i = scratch_.vertices[b].id[lane];
-        for (std::int32_t c = second.faces[0]; c < second.faces[1]; ++c)
-          each_lane(meet(box, scratch_.faces[c]), [&](int other) {
-            const auto& face = topology_->faces[scratch_.faces[c].id[other]];
-            if (i == face[0] || i == face[1] || i == face[2]) return;
-            Candidate candidate{};
-            candidate.face = scratch_.faces[c].id[other];
-            candidate.v[0] = i;
-            for (int k = 0; k < 3; ++k) candidate.v[k + 1] = face[k];
-            candidate.distance = thickness_;
-            pending_faces.push_back(candidate);
+        for (std::int32_t c = second.faces[0]; c < second.faces[1]; ++c) {
+          const BoxBlock& block = scratch_.faces[c];
+          unsigned mask = meet(box, block);
+          if (mask == 0) continue;
+          for (int k = 0; k < 3; ++k) mask &= ~equal(i, block.corner[k]);
+          each_lane(mask, [&](int other) {
+            pending_faces.add({i, block.corner[0][other], block.corner[1][other], block.corner[2][other]},
+                              block.id[other]);
           });
+        }
       });
   };
   const auto edges_against_edges = [&](const Patch& first, const Patch& second, const Box& second_box, bool same) {
@@ -685,23 +709,21 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
       each_lane(meet(second_box, scratch_.edges[b]), [&](int lane) {
         const Box box = lane_box(scratch_.edges[b], lane);
         const std::int32_t e = scratch_.edges[b].id[lane];
-        const auto& edge = topology_->edges[e];
-        for (std::int32_t c = second.edges[0]; c < second.edges[1]; ++c)
-          each_lane(meet(box, scratch_.edges[c]), [&](int other) {
-            const std::int32_t g = scratch_.edges[c].id[other];
-            const auto& rival = topology_->edges[g];
-            if ((same && g <= e) || edge[0] == rival[0] || edge[0] == rival[1] || edge[1] == rival[0] ||
-                edge[1] == rival[1])
-              return;
-            Candidate candidate{};
-            candidate.face = -1;
-            const bool swap = g < e;  // one order for a pair, so that its memory is found again
-            const auto& s = swap ? rival : edge;
-            const auto& t = swap ? edge : rival;
-            candidate.v[0] = s[0], candidate.v[1] = s[1], candidate.v[2] = t[0], candidate.v[3] = t[1];
-            candidate.distance = edge_thickness_;
-            pending_edges.push_back(candidate);
+        const std::int32_t e0 = scratch_.edges[b].corner[0][lane], e1 = scratch_.edges[b].corner[1][lane];
+        for (std::int32_t c = second.edges[0]; c < second.edges[1]; ++c) {
+          const BoxBlock& block = scratch_.edges[c];
+          unsigned mask = meet(box, block);
+          if (mask == 0) continue;
+          if (same) mask &= above(e, block.id);
+          for (int k = 0; k < 2; ++k) mask &= ~(equal(e0, block.corner[k]) | equal(e1, block.corner[k]));
+          each_lane(mask, [&](int other) {
+            const std::int32_t g0 = block.corner[0][other], g1 = block.corner[1][other];
+            if (block.id[other] < e)  // one order for a pair, so that its memory is found again
+              pending_edges.add({g0, g1, e0, e1}, -1);
+            else
+              pending_edges.add({e0, e1, g0, g1}, -1);
           });
+        }
       });
   };
   const auto node_box = [](const Node& node) {
@@ -787,8 +809,8 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
     const Candidate* group[8];
     for (std::size_t first = 0; first < soon.size(); first += 8) {
       const int lanes = static_cast<int>(std::min<std::size_t>(8, soon.size() - first));
-      for (int lane = 0; lane < lanes; ++lane) group[lane] = &list[soon[first + lane]];
-      const Stored m(measure<kEdges>(group, lanes, fixed, unit_f));
+      for (int lane = 0; lane < 8; ++lane) group[lane] = &list[soon[first + (lane < lanes ? lane : 0)]];
+      const Stored m(measure<kEdges>(group, fixed, unit_f));
       for (int lane = 0; lane < lanes; ++lane) {
         Candidate& c = list[soon[first + lane]];
         const float gap = m.distance[lane];

@@ -1,5 +1,6 @@
 #pragma once
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -121,13 +122,31 @@ class SelfContact {
     /// one to one along the axis, and no two of its parts can touch [Volino and Magnenat-Thalmann 1994].
     bool convex;
   };
+  /// Eight pairs that a search has found and not yet measured.
+  struct alignas(32) PairBlock {
+    std::int32_t v[4][8];  ///< as in Candidate
+    std::int32_t face[8];
+  };
+  /// Two patches of eight faces have at most 24 edges and 24 vertices each, and lists are emptied from 64 pairs on.
+  static constexpr int kMostPending = 1024;
+  struct Pending {
+    std::vector<PairBlock> blocks;  ///< [kMostPending / 8]
+    int count = 0;
+    void add(const std::array<std::int32_t, 4>& v, std::int32_t face) {
+      PairBlock& block = blocks[static_cast<std::size_t>(count) / 8];
+      const int lane = count++ % 8;
+      for (int k = 0; k < 4; ++k) block.v[k][lane] = v[k];
+      block.face[lane] = face;
+    }
+  };
   /// Room for find_candidates() and activate(), kept so that the frame loop does not allocate.
   struct Scratch {
     std::vector<BoxBlock> faces, vertices, edges;
     std::vector<Node> nodes;
     std::vector<Float4> sums;         ///< [nodes] sums of unit normals
     std::vector<std::uint8_t> boxed;  ///< [patches] vertex and edge boxes are those of this search
-    std::vector<Candidate> old, pending_faces, pending_edges;
+    std::vector<Candidate> old;
+    Pending pending_faces, pending_edges;
     std::vector<std::int32_t> table;
     std::vector<Float4> position, later;  ///< relative to the lowest corner: now and at the horizon
     std::vector<Float4> drift;            ///< m/s

@@ -73,7 +73,7 @@ struct Fixed8 {
 /// Eight records of 16 bytes, their first three components as lanes.
 template <class Address>
 [[gnu::always_inline]] inline Fixed8 load8(Address&& address) {
-  const auto at = [&](int lane) { return _mm_load_si128(reinterpret_cast<const __m128i*>(address(lane))); };
+  const auto at = [&](int lane) { return _mm_loadu_si128(reinterpret_cast<const __m128i*>(address(lane))); };
   const I8 a = _mm256_set_m128i(at(4), at(0));
   const I8 b = _mm256_set_m128i(at(5), at(1));
   const I8 c = _mm256_set_m128i(at(6), at(2));
