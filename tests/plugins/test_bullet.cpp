@@ -172,13 +172,14 @@ TEST(BulletFabric, WhatLinksCannotDoIsWarnedAboutOrRefused) {
   EXPECT_NE(warning_of(fabric).find("damping.bend_s"), std::string::npos);
   fabric.stretch_shear_n_per_m = 150.0;
   EXPECT_NE(warning_of(fabric).find("stretch_n_per_m.shear"), std::string::npos);
-  EXPECT_NE(warning_of(fabric.scaled(0.05, 1000.0)).find("stiffened"), std::string::npos);
+  EXPECT_NE(warning_of(fabric.scaled(0.05, 40.0)).find("stiffened"), std::string::npos);
   EXPECT_NE(warning_of(fabric.scaled(1e4, 1.0), "max_substeps: 20").find("max_substeps"), std::string::npos);
   fabric.tables = std::make_shared<MaterialTables>(MaterialTables{{{{40, 5, 60, 40}}}, {{{1e-4}, {1e-4}, {1e-4}}}});
   EXPECT_NE(warning_of(fabric).find("tables"), std::string::npos);
   fabric = knit();
   fabric.stretch_shear_n_per_m = 0.0;
   EXPECT_THROW(warning_of(fabric), ConfigError);
+  EXPECT_THROW(warning_of(knit().scaled(0.05, 1000.0)), ConfigError);  // nearly all edges would be stiffened
   fabric = knit();
   fabric.thickness_m = 0.0;
   EXPECT_THROW(warning_of(fabric), ConfigError);
