@@ -336,7 +336,8 @@ void Bullet::choose_substeps() {
                         ": the cloth stretches more than its stiffness says");
   if (network_.raised_share > 0.0)
     warnings_.push_back("bending is so stiff that " + percent(network_.raised_share) +
-                        " of the edges were stiffened to carry it: the cloth stretches less than its stiffness says");
+                        " of the edges were stiffened to carry it: the cloth stretches less than its stiffness says; "
+                        "if it trembles, halve link_step");
   if (network_.stretch_misfit > 0.15)
     warnings_.push_back("this mesh has the membrane stiffness to " + percent(network_.stretch_misfit) + " only");
   if (network_.bend_misfit > 0.15)
