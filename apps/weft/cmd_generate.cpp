@@ -33,6 +33,30 @@ ConfigNode data_config(const ConfigNode& resolved, const Task& task, const Plugi
   return self_contained(ConfigNode::mapping(entries), task, registry, folder);
 }
 
+/// The header a folder goes on with. A folder that an earlier version began, whose config says the same once today's
+/// defaults are filled in, keeps its own identity: a new parameter with a default must not orphan its examples.
+DatasetHeader continued(const DatasetHeader& header, const ConfigNode& saved, const std::filesystem::path& folder) {
+  const auto file = folder / "config.yaml";
+  const auto shards = list_shards(folder);
+  if (shards.empty() || !std::filesystem::exists(file)) return header;
+  DatasetHeader earlier;
+  try {
+    earlier = read_shard(shards.front()).header;
+  } catch (const ConfigError&) {
+    return header;  // damaged: it is made again
+  }
+  if (earlier.identity == header.identity || earlier.seed != header.seed ||
+      earlier.config != ConfigNode::load(file).to_yaml())
+    return header;
+  Context plain;  // what is overridden now was not said then
+  const Prepared<ExperimentParams> then(plain, file.string());
+  if (data_config(then.resolved, then.task, *then.registry, folder).to_yaml() != saved.to_yaml()) return header;
+  DatasetHeader same = header;
+  same.config = earlier.config;
+  same.identity = earlier.identity;
+  return same;
+}
+
 int generate(Context& context, const std::string& file, std::int64_t examples, const std::string& shard) {
   GenerateOptions options;
   options.examples = examples;
@@ -46,8 +70,12 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   auto provenance = nlohmann::ordered_json::parse(given.provenance());
   for (const char* key : {"threads", "cores"}) provenance.erase(key);
   const DatasetHeader header =
-      make_dataset_header(given.task, given.params.data, given.seed, saved, provenance.dump(2) + "\n");
-  write_text(options.folder / "config.yaml", saved.to_yaml());
+      continued(make_dataset_header(given.task, given.params.data, given.seed, saved, provenance.dump(2) + "\n"), saved,
+                options.folder);
+  // That of a folder with shards is theirs: generate_dataset() refuses others.
+  if (const auto config = options.folder / "config.yaml";
+      list_shards(options.folder).empty() || !std::filesystem::exists(config))
+    write_text(config, header.config);
 
   context.say("making " + std::to_string(examples) + " examples of " + given.task.garment->name + " (" +
               std::to_string(given.task.garment->vertex_count()) + " vertices), seed " + std::to_string(given.seed) +

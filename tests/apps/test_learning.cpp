@@ -8,6 +8,7 @@
 
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
+#include "weft/dataset.hpp"
 
 namespace weft {
 namespace {
@@ -110,6 +111,36 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   ASSERT_EQ(folded.code, 0) << folded.output;
   const auto summary = nlohmann::json::parse(folded.output);
   EXPECT_LT(summary.at("error_mm").get<double>(), 0.6 * summary.at("default_error_mm").get<double>());
+}
+
+// A parameter that a later version added, at its default, must not orphan a dataset that took an hour to make.
+TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhenItsConfigSaysTheSame) {
+  const Folder folder;
+  const auto data = folder / "data";
+  const std::string generate = "generate '" + kConfig + "' --quiet --out " + quoted(data);
+  ASSERT_EQ(weft_command(generate + " --examples 2").code, 0);
+  Shard shard = read_shard(data / "shard-00000.h5");
+  const std::string added = "    inertia_length_m: 0\n";
+  const auto at = shard.header.config.find(added);
+  ASSERT_NE(at, std::string::npos);
+  const std::string earlier = shard.header.config.erase(at, added.size());
+  shard.header.identity = "0123456789abcdef";
+  write_shard(data / "shard-00000.h5", shard);
+  std::ofstream(data / "config.yaml", std::ios::binary) << earlier;
+
+  const Outcome more = weft_command(generate + " --examples 18");
+  ASSERT_EQ(more.code, 0) << more.output;
+  for (const char* file : {"shard-00000.h5", "shard-00001.h5"}) {
+    const Shard now = read_shard(data / file);
+    EXPECT_EQ(now.header.identity, "0123456789abcdef") << file;
+    EXPECT_EQ(now.header.config, earlier) << file;
+  }
+  EXPECT_EQ(weft_command("dataset check " + quoted(data)).code, 0);
+  // Said otherwise, with or without a later default, it is another dataset; the folder stays what it was.
+  const Outcome other = weft_command(generate + " --examples 34 --set simulator.params.settle_damping_per_s=7");
+  EXPECT_EQ(other.code, 2);
+  EXPECT_THAT(other.output, HasSubstr("belongs to another dataset"));
+  EXPECT_EQ(bytes_of(data / "config.yaml"), earlier);
 }
 
 TEST(Learning, WrongUseSaysWhy) {

@@ -186,6 +186,7 @@ class Fit {
     if (t_.max_examples > 0 && static_cast<std::size_t>(t_.max_examples) < train_.size())
       train_.resize(static_cast<std::size_t>(t_.max_examples));
     if (train_.empty()) throw ConfigError("weft train: the dataset has no example in its train split");
+    for (const auto i : train_) longest_ = std::max(longest_, example(i).segments());
     if (validation_.empty())
       throw ConfigError("weft train: the dataset has no example in its validation split; make more examples");
     model_.architecture = job.architecture;
@@ -437,6 +438,11 @@ class Fit {
     return batch;
   }
 
+  /// Segments of an example over those of the longest one trained on.
+  double length_share(std::size_t i) const {
+    return static_cast<double>(example(i).segments()) / static_cast<double>(longest_);
+  }
+
   /// The sub-sequences of one iteration: a function of (seed, iteration), which is what makes resuming exact.
   std::vector<Sequence> draw(std::int64_t iteration) const {
     const RandomStream streams(job_.options.seed, 0x6261746368ull, static_cast<std::uint64_t>(iteration));
@@ -445,6 +451,8 @@ class Fit {
       RandomStream random = streams.child(b);
       auto& s = sequences[b];
       s.example = train_[random.below(train_.size())];
+      while (t_.length_weight > 0 && random.uniform() >= std::pow(length_share(s.example), t_.length_weight))
+        s.example = train_[random.below(train_.size())];
       const auto& e = example(s.example);
       const auto k = static_cast<std::uint64_t>(e.segments());
       const bool from_start = random.uniform() < t_.start_share;
@@ -817,7 +825,7 @@ class Fit {
   void calibrate() {
     model_.calibration.assign(4, 1.0f);
     if (!t_.calibrate) return;
-    constexpr int kFactors = 49;
+    constexpr int kFactors = 49, kStarts = 4;
     const auto factor = [](int f) { return 0.4 * std::pow(6.25, f / (kFactors - 1.0)); };  // 0.4 to 2.5
     struct Tally {
       double shapes = 0.0, square = 0.0;
@@ -838,13 +846,15 @@ class Fit {
         for (const std::size_t i : validation_) {
           RandomStream random = streams.child(i);
           const auto& e = example(i);
-          Sequence s;
-          s.example = i;
-          s.start = from_start ? 0 : static_cast<Index>(random.below(static_cast<std::uint64_t>(e.segments())));
-          s.steps = e.segments() - s.start;
-          s.knowledge = is_certain ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
-          for (Index j = 1; j <= s.steps; ++j) s.decoded.push_back(j);
-          all.push_back(s);
+          for (int repeat = 0; repeat < (from_start ? 1 : kStarts); ++repeat) {
+            Sequence s;
+            s.example = i;
+            s.start = from_start ? 0 : static_cast<Index>(random.below(static_cast<std::uint64_t>(e.segments())));
+            s.steps = e.segments() - s.start;
+            s.knowledge = is_certain ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
+            for (Index j = 1; j <= s.steps; ++j) s.decoded.push_back(j);
+            all.push_back(s);
+          }
         }
         const auto batches = in_batches(all);
         std::vector<std::vector<Tally>> parts(batches.size());
@@ -983,6 +993,7 @@ class Fit {
   Layout layout_;
   std::string identity_;
   std::vector<std::size_t> train_, validation_;
+  Index longest_ = 1;
   std::vector<Batch> validation_batches_;
   std::vector<std::unique_ptr<Worker>> workers_;
   std::vector<float> weights_, gradients_, first_moment_, second_moment_, average_, best_weights_;
