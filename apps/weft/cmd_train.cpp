@@ -23,7 +23,7 @@ std::string duration(double seconds) {
   return text;
 }
 
-int train(Context& context, const std::string& file, const std::string& data) {
+int train(Context& context, const std::string& file, std::vector<std::string> folders) {
   if (context.out.empty()) throw ConfigError("weft train: --out MODEL is required, a file such as model.h5");
   const fs::path model = context.out;
   if (model.extension() != ".h5") throw ConfigError("--out = " + context.out + ", must end in .h5");
@@ -34,12 +34,19 @@ int train(Context& context, const std::string& file, const std::string& data) {
   TrainablePredictor* learner = predictor->trainable();
   if (learner == nullptr)
     given.config.fail("predictor does not learn from examples; name one that does, such as {plugin: emd}");
-  const fs::path folder = data.empty() ? given.params.dataset : fs::path(data);
-  if (folder.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
+  if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
+  if (folders.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
 
-  context.say("reading " + folder.string());
-  const Dataset dataset = Dataset::load(folder);
-  dataset.require_task(given.task);
+  Dataset dataset;
+  for (const auto& folder : folders) {
+    context.say("reading " + folder);
+    Dataset one = Dataset::load(folder);
+    one.require_task(given.task);
+    if (dataset.examples.empty())
+      dataset = std::move(one);
+    else
+      dataset.append(std::move(one));
+  }
   if (model.has_parent_path()) fs::create_directories(model.parent_path());
   FitOptions options;
   options.seed = given.seed;
@@ -80,9 +87,9 @@ void register_train(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("train", "Fit a predictor to the examples of `weft generate`");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
-  auto data = std::make_shared<std::string>();
+  auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
-  command->add_option("--data", *data, "Folder of examples");
+  command->add_option("--data", *data, "Folders of examples");
   command->callback(
       [&context, file, data] { context.action = [&context, file, data] { return train(context, *file, *data); }; });
 }

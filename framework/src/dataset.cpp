@@ -306,6 +306,25 @@ Dataset Dataset::load(const fs::path& folder, std::size_t max_examples) {
   return dataset;
 }
 
+void Dataset::append(Dataset other) {
+  const auto& h = other.header;
+  const auto fail = [&](const std::string& what) {
+    throw ConfigError("datasets " + header.identity + " and " + h.identity + ": " + what);
+  };
+  if (h.identity == header.identity) fail("are the same one");
+  if (h.garment_hash != header.garment_hash) fail("the garments differ");
+  if (h.control_names != header.control_names || h.state_names != header.state_names || h.hands != header.hands)
+    fail("the trajectories differ");
+  // An example's split goes by its number alone.
+  if (h.validation_fraction != header.validation_fraction || h.test_fraction != header.test_fraction)
+    fail("data.validation_fraction or data.test_fraction differ");
+  Fingerprint f;
+  f.add(header.identity);
+  f.add(h.identity);
+  header.identity = f.hex();
+  std::move(other.examples.begin(), other.examples.end(), std::back_inserter(examples));
+}
+
 std::vector<std::size_t> Dataset::select(Split split) const {
   std::vector<std::size_t> chosen;
   for (std::size_t i = 0; i < examples.size(); ++i) {

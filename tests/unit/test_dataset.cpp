@@ -246,6 +246,35 @@ TEST(Dataset, SplitsByIndexAndMergesBackToTheSameBytes) {
   EXPECT_THROW(merge_datasets({folder / "none"}, folder / "n"), ConfigError);
 }
 
+TEST(Dataset, AppendsAnotherDatasetOfTheSameTaskAndKeepsEachSplit) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "a", 20, host);
+  Dataset both = Dataset::load(folder / "a"), other = both;
+  for (auto& e : other.examples) e.q.setConstant(0.25);
+  other.header.identity = "of another distribution";
+  const auto own = both.select(Split::train);
+  both.append(other);
+  const auto all = both.select(Split::train);
+  ASSERT_EQ(all.size(), 2 * own.size());
+  for (std::size_t i = 0; i < own.size(); ++i) {
+    EXPECT_EQ(both.examples[all[i]].index, both.examples[all[own.size() + i]].index);
+    EXPECT_TRUE(both.examples[all[own.size() + i]].q.isConstant(0.25));
+  }
+  EXPECT_NE(both.header.identity, other.header.identity);
+
+  Dataset again = other;
+  EXPECT_THAT(message_of<ConfigError>([&] { again.append(other); }), HasSubstr("the same one"));
+  const auto refused = [&](auto change) {
+    Dataset wrong = Dataset::load(folder / "a");
+    change(wrong.header);
+    return message_of<ConfigError>([&] { Dataset(other).append(wrong); });
+  };
+  EXPECT_THAT(refused([](auto& h) { h.garment_hash ^= 1; }), HasSubstr("garments differ"));
+  EXPECT_THAT(refused([](auto& h) { h.control_names.push_back("x"); }), HasSubstr("trajectories differ"));
+  EXPECT_THAT(refused([](auto& h) { h.test_fraction *= 0.5; }), HasSubstr("test_fraction"));
+}
+
 TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {
   const Folder folder;
   ToyHost host(2);

@@ -75,7 +75,7 @@ struct DatasetHeader {
   WEFT_API Split split(std::int64_t index) const;
 };
 
-/// Examples in memory, ascending by index.
+/// Examples in memory, ascending by index within each dataset.
 struct Dataset {
   DatasetHeader header;
   std::vector<Example> examples;
@@ -84,6 +84,10 @@ struct Dataset {
   /// @param max_examples stop after that many; 0: all.
   /// @throws ConfigError for a damaged shard (refused whole), shards of different datasets, or a folder without shards.
   WEFT_API static Dataset load(const std::filesystem::path& folder, std::size_t max_examples = 0);
+  /// Adds the examples of another dataset of the same task, made with another distribution or seed; each keeps its
+  /// split. @throws ConfigError when garment, trajectory, hands or the shares of the splits differ, or for the same
+  /// dataset twice.
+  WEFT_API void append(Dataset other);
   /// Positions in `examples` of the good ones of a split.
   WEFT_API std::vector<std::size_t> select(Split split) const;
   WEFT_API Positions shape(std::size_t example, Index segment) const;  ///< [V, 3] m

@@ -65,7 +65,6 @@ struct Training {
   std::int64_t decoded_steps = 6;
   double vertex_share = 0.35;
   double start_share = 0.35;
-  double length_weight = 0.0;
   double certain_share = 0.15;
   double unknown_share = 0.1;
   double beta = 0.0;
@@ -100,9 +99,6 @@ struct Training {
       "Share of the vertices that enter the loss of an iteration, drawn anew for each: neighbours say much the same.");
     v("start_share", start_share, range(0, 1),
       "Share of the sub-sequences that begin with the flat shape; the others begin anywhere.");
-    v("length_weight", length_weight, range(0, 4),
-      "An example is drawn in proportion to its number of segments to that power: slow folds are rare, and are "
-      "harder.");
     v("certain_share", certain_share, range(0, 1),
       "Share of the examples given exact knowledge (w = 0) instead of eq. 3's.");
     v("unknown_share", unknown_share, range(0, 1),

@@ -186,7 +186,6 @@ class Fit {
     if (t_.max_examples > 0 && static_cast<std::size_t>(t_.max_examples) < train_.size())
       train_.resize(static_cast<std::size_t>(t_.max_examples));
     if (train_.empty()) throw ConfigError("weft train: the dataset has no example in its train split");
-    for (const auto i : train_) longest_ = std::max(longest_, example(i).segments());
     if (validation_.empty())
       throw ConfigError("weft train: the dataset has no example in its validation split; make more examples");
     model_.architecture = job.architecture;
@@ -438,11 +437,6 @@ class Fit {
     return batch;
   }
 
-  /// Segments of an example over those of the longest one trained on.
-  double length_share(std::size_t i) const {
-    return static_cast<double>(example(i).segments()) / static_cast<double>(longest_);
-  }
-
   /// The sub-sequences of one iteration: a function of (seed, iteration), which is what makes resuming exact.
   std::vector<Sequence> draw(std::int64_t iteration) const {
     const RandomStream streams(job_.options.seed, 0x6261746368ull, static_cast<std::uint64_t>(iteration));
@@ -451,8 +445,6 @@ class Fit {
       RandomStream random = streams.child(b);
       auto& s = sequences[b];
       s.example = train_[random.below(train_.size())];
-      while (t_.length_weight > 0 && random.uniform() >= std::pow(length_share(s.example), t_.length_weight))
-        s.example = train_[random.below(train_.size())];
       const auto& e = example(s.example);
       const auto k = static_cast<std::uint64_t>(e.segments());
       const bool from_start = random.uniform() < t_.start_share;
@@ -993,7 +985,6 @@ class Fit {
   Layout layout_;
   std::string identity_;
   std::vector<std::size_t> train_, validation_;
-  Index longest_ = 1;
   std::vector<Batch> validation_batches_;
   std::vector<std::unique_ptr<Worker>> workers_;
   std::vector<float> weights_, gradients_, first_moment_, second_moment_, average_, best_weights_;
