@@ -34,7 +34,7 @@ int tune(Context& context, const std::string& file) {
 
 void register_displacement(CLI::App& app, Context& context) {
   CLI::App* command =
-      app.add_subcommand("displacement", "Tune the length of d so that the default arc folds the garment in two");
+      app.add_subcommand("displacement", "Tune the length of d so that half the default control folds the garment in two");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Task file; its manipulation.displacement_m gives the direction")->required();
