@@ -822,10 +822,10 @@ class Fit {
     struct Tally {
       double shapes = 0.0, square = 0.0;
       std::array<double, kFactors> inside{};  // share of the coordinates with |error| < factor sigma
-      void add(const Tally& t, double weight) {
-        shapes += weight * t.shapes;
-        square += weight * t.square;
-        for (std::size_t f = 0; f < inside.size(); ++f) inside[f] += weight * t.inside[f];
+      void add(const Tally& t) {
+        shapes += t.shapes;
+        square += t.square;
+        for (std::size_t f = 0; f < inside.size(); ++f) inside[f] += t.inside[f];
       }
     };
     const Graph graph(model_, best_weights_.data(), nullptr);
@@ -862,23 +862,32 @@ class Fit {
             Tally t{1.0, static_cast<double>(square.data_ptr<float>()[w]), {}};
             for (std::size_t f = 0; f < inside.size(); ++f)
               t.inside[f] = static_cast<double>(inside[f].data_ptr<float>()[w]);
-            parts[b][static_cast<std::size_t>(batch.wanted[w].step) - 1].add(t, 1.0);
+            parts[b][static_cast<std::size_t>(batch.wanted[w].step) - 1].add(t);
           }
         });
         std::vector<Tally> steps;
         for (const auto& part : parts) {
           steps.resize(std::max(steps.size(), part.size()));
-          for (std::size_t j = 0; j < part.size(); ++j) steps[j].add(part[j], 1.0);
+          for (std::size_t j = 0; j < part.size(); ++j) steps[j].add(part[j]);
         }
-        // Few sequences are long: every number of segments leans on 20 shapes like those of its predecessor.
+        // Few sequences are long: a number of segments with few shapes borrows from its neighbours.
+        constexpr double kEnough = 100.0;
+        const auto around = [&](std::size_t j) {
+          Tally sum = steps[j];
+          for (std::size_t reach = 1; sum.shapes < kEnough && reach < steps.size(); ++reach) {
+            if (reach <= j) sum.add(steps[j - reach]);
+            if (j + reach < steps.size()) sum.add(steps[j + reach]);
+          }
+          return sum;
+        };
         auto& curve = curves.emplace_back();
         for (std::size_t j = 0; j < steps.size(); ++j) {
-          if (j > 0) steps[j].add(steps[j - 1], 20.0 / steps[j - 1].shapes);
+          const Tally seen = around(j);
           double best = 1.0, least = std::numeric_limits<double>::infinity();
           for (int f = 0; f < kFactors; ++f) {
-            const double nse = steps[j].square / steps[j].shapes / (factor(f) * factor(f));
-            const double coverage = steps[j].inside[static_cast<std::size_t>(f)] / steps[j].shapes;
-            const double off = std::max(std::abs(std::log(nse)) / std::log(1.25), std::abs(coverage - 0.683) / 0.06);
+            const double nse = seen.square / seen.shapes / (factor(f) * factor(f));
+            const double coverage = seen.inside[static_cast<std::size_t>(f)] / seen.shapes;
+            const double off = std::max(std::abs(std::log(nse)) / std::log(1.25), std::abs(coverage - 0.683) / 0.057);
             if (off < least) {
               least = off;
               best = factor(f);
