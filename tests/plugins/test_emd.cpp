@@ -503,6 +503,58 @@ TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
   EXPECT_LT(error, 0.4 * still);
 }
 
+// Fitted to few examples sigma is too small for others; the factors from the validation split mend that on the test
+// split.
+TEST(EmdTraining, CalibrationBringsSigmaToTheErrorsOfUnseenExamples) {
+  const Folder folder;
+  const Task task = patch_task();
+  const Dataset data = toy_dataset(task, 200);
+  TestHost host;
+  Params params;
+  params.architecture = small();
+  params.training = quick();
+  params.training.iterations = 600;
+  params.training.max_examples = 20;
+  params.training.average = 0.0;
+  params.training.evaluate_every = 600;  // the last weights, over-fitted as they are, and not the best ones
+  struct Rating {
+    double nse = 0.0, coverage = 0.0;
+  };
+  const auto rate = [&](bool calibrate) {
+    Params one = params;
+    one.training.calibrate = calibrate;
+    const auto model = folder / (calibrate ? "with.h5" : "without.h5");
+    EmdPredictor(one, host).fit(data, task, {.seed = 4, .model = model}, [](const FitProgress&) { return true; });
+    one.model = model;
+    EmdPredictor predictor(one, host);
+    predictor.bind(task);
+    Rating rating;
+    double count = 0.0;
+    for (const auto i : data.select(Split::test)) {
+      const auto& e = data.examples[i];
+      PredictionCase start;
+      start.shape = std::make_shared<const Positions>(data.shape(i, 0));
+      start.state = e.states.row(0).transpose();
+      start.controls = e.controls;
+      start.knowledge = MaterialKnowledge::certain(e.q);
+      for (Index j = 1; j <= e.segments(); ++j) start.segments.push_back(j);
+      const auto prediction = predictor.predict({start}, {});
+      for (Index j = 1; j <= e.segments(); ++j) {
+        const auto& shape = prediction->shapes()[0][static_cast<std::size_t>(j) - 1];
+        const auto z = ((data.shape(i, j) - shape.mean).array() / shape.sigma.array()).abs().eval();
+        rating.nse += z.square().mean();
+        rating.coverage += (z < 1.0).cast<double>().mean();
+        ++count;
+      }
+    }
+    return Rating{rating.nse / count, rating.coverage / count};
+  };
+  const Rating without = rate(false), with = rate(true);
+  EXPECT_GT(without.nse, 1.6);
+  EXPECT_LT(std::abs(std::log(with.nse)), 0.5 * std::abs(std::log(without.nse)));
+  EXPECT_LT(std::abs(with.coverage - 0.683), std::abs(without.coverage - 0.683));
+}
+
 TEST(EmdTraining, TheBestModelSoFarCanBeUsedMeanwhile) {
   const Folder folder;
   const Task task = patch_task();
