@@ -33,8 +33,8 @@ int tune(Context& context, const std::string& file) {
 }  // namespace
 
 void register_displacement(CLI::App& app, Context& context) {
-  CLI::App* command =
-      app.add_subcommand("displacement", "Tune the length of d so that half the default control folds the garment in two");
+  CLI::App* command = app.add_subcommand(
+      "displacement", "Tune the length of d so that half the default control folds the garment in two");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Task file; its manipulation.displacement_m gives the direction")->required();
