@@ -13,6 +13,7 @@
 
 #include "cpu_time.hpp"
 #include "weft/physics.hpp"
+#include "weft/refusal.hpp"
 #include "weft/session.hpp"
 
 namespace weft {
@@ -132,8 +133,7 @@ std::vector<int> read_baseline(const ConfigNode& node, const std::vector<Factor>
     for (const auto& level : factor.levels) names.push_back(level.name);
     const std::string wanted = level_name(from);
     const auto found = std::find(names.begin(), names.end(), wanted);
-    if (found == names.end())
-      from.fail("= " + wanted + " is no level of " + factor.name + "; nearest: " + nearest(wanted, names));
+    if (found == names.end()) from.fail("= " + wanted + " is no level of " + factor.name + nearest_hint(wanted, names));
     return static_cast<int>(found - names.begin());
   };
   if (node.is_scalar()) {
@@ -294,7 +294,7 @@ std::vector<std::string> physics_case_names(const ConfigNode& config) {
   PhysicsExperimentParams params;
   read_params(config, params);
   std::vector<std::string> names;
-  for (const auto& one : physics_cases(params.physics, std::make_shared<const Task>()))
+  for (const auto& one : physics_cases(params.physics, std::make_shared<const Task>(), config))
     names.push_back(one.test + (one.name.empty() ? "" : ", " + one.name));
   return names;
 }
@@ -372,7 +372,7 @@ AblationOutcome run_physics_cell(const ConfigNode& config, Host& host) {
   PhysicsExperimentParams params;
   read_params(config, params);
   const auto task = std::make_shared<const Task>(make_task(params.task, config, host));
-  const auto cases = physics_cases(params.physics, task);
+  const auto cases = physics_cases(params.physics, task, config);
   const PhysicsCase& one = cases.at(static_cast<std::size_t>(params.seed));
   const auto variant = [&](const char* name, const ConfigNode& slot) {
     return SimulatorVariant{name, [&host, slot] { return host.create<Simulator>(slot); }};

@@ -12,6 +12,8 @@
 #include <set>
 #include <sstream>
 
+#include "weft/refusal.hpp"
+
 namespace weft {
 
 struct ConfigNode::Data {
@@ -209,17 +211,6 @@ const char* kind_name(ConfigNode::Kind kind) {
   return "";
 }
 
-// What a message shows of a node.
-std::string shown(const ConfigNode& node) {
-  const auto& data = Access::data(node);
-  if (data.kind != ConfigNode::Kind::scalar) return kind_name(data.kind);
-  return data.text.size() > 60 ? data.text.substr(0, 60) + "..." : data.text;
-}
-
-[[noreturn]] void wrong_type(const ConfigNode& node, const std::string& wanted) {
-  node.fail("= " + shown(node) + ", must be " + wanted);
-}
-
 // The number that a text is: decimal, with an optional sign and exponent, or .inf; not "inf", "nan" or hexadecimal.
 std::optional<double> number_of(std::string_view text) {
   const bool negative = text.starts_with('-');
@@ -352,6 +343,42 @@ nlohmann::ordered_json to_json_value(const ConfigNode& node) {
   return nullptr;
 }
 
+// Levenshtein distance, one row at a time.
+std::size_t edit_distance(std::string_view a, std::string_view b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  for (std::size_t j = 0; j < row.size(); ++j) row[j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    std::size_t diagonal = row[0];
+    row[0] = i;
+    for (std::size_t j = 1; j < row.size(); ++j) {
+      const std::size_t replaced = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
+      diagonal = row[j];
+      row[j] = std::min({replaced, row[j] + 1, row[j - 1] + 1});
+    }
+  }
+  return row.back();
+}
+
+// What a file is and who reads it, by a key that its reader does not know. Experiments extend tasks, so they come
+// first.
+std::string other_kind(const ConfigNode& file, const std::vector<std::string>& known) {
+  constexpr const char* kKinds[][2] = {
+      {"factors", "an ablation, which `weft ablate` reads"},
+      {"physics", "an experiment, which `weft evaluate physics` reads"},
+      {"data", "an experiment, which `weft generate`, `weft train` and `weft evaluate` read"},
+      {"evaluation", "an experiment, which `weft generate`, `weft train` and `weft evaluate` read"},
+      {"duration_s", "a scene, which `weft simulate` reads"},
+      {"manipulation", "a task, which `weft run` reads"},
+      {"density_kg_per_m2", "a fabric: `fabric` of a scene, or `nominal` of a material space"},
+      {"properties", "a material space: `material` of a task"},
+      {"mesh", "a garment: `garment` of a task or a scene"},
+  };
+  for (const auto& [key, kind] : kKinds) {
+    if (file.has(key) && std::find(known.begin(), known.end(), key) == known.end()) return kind;
+  }
+  return "";
+}
+
 }  // namespace
 
 ConfigNode::ConfigNode() {
@@ -396,7 +423,7 @@ ConfigNode::Kind ConfigNode::kind() const { return data_->kind; }
 
 std::optional<ConfigNode> ConfigNode::find(std::string_view key) const {
   if (is_null()) return std::nullopt;
-  if (!is_mapping()) wrong_type(*this, "a mapping");
+  if (!is_mapping()) must_be(*this, "a mapping");
   for (const auto& [name, value] : data_->entries) {
     if (name == key) return value;
   }
@@ -405,9 +432,7 @@ std::optional<ConfigNode> ConfigNode::find(std::string_view key) const {
 
 ConfigNode ConfigNode::at(std::string_view key) const {
   if (auto value = find(key)) return *value;
-  const std::string close = nearest(key, keys());
-  throw ConfigError(where() + ": " + join(path(), key) + " is missing" +
-                    (close.empty() ? "" : " (nearest key there: " + close + ")"));
+  throw ConfigError(where() + ": " + join(path(), key) + " is missing" + nearest_hint(key, keys()));
 }
 
 std::vector<std::string> ConfigNode::keys() const {
@@ -419,24 +444,24 @@ std::vector<std::string> ConfigNode::keys() const {
 std::size_t ConfigNode::size() const { return is_sequence() ? data_->items.size() : data_->entries.size(); }
 
 ConfigNode ConfigNode::operator[](std::size_t i) const {
-  if (!is_sequence()) wrong_type(*this, "a list");
+  if (!is_sequence()) must_be(*this, "a list");
   if (i >= data_->items.size()) fail("has " + std::to_string(size()) + " items, wanted item " + std::to_string(i));
   return data_->items[i];
 }
 
 double ConfigNode::as_double() const {
   const auto value = is_scalar() && !data_->is_quoted ? number_of(data_->text) : std::nullopt;
-  if (!value) wrong_type(*this, "a number");
+  if (!value) must_be(*this, "a number");
   return *value;
 }
 
 std::int64_t ConfigNode::as_int() const {
-  if (!is_scalar() || data_->is_quoted) wrong_type(*this, "a whole number");
+  if (!is_scalar() || data_->is_quoted) must_be(*this, "a whole number");
   std::string_view text = data_->text;
   if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
   std::int64_t value = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size()) wrong_type(*this, "a whole number");
+  if (error != std::errc() || end != text.data() + text.size()) must_be(*this, "a whole number");
   return value;
 }
 
@@ -445,11 +470,11 @@ bool ConfigNode::as_bool() const {
     if (data_->text == "true") return true;
     if (data_->text == "false") return false;
   }
-  wrong_type(*this, "true or false");
+  must_be(*this, "true or false");
 }
 
 std::string ConfigNode::as_string() const {
-  if (!is_scalar()) wrong_type(*this, "a text");
+  if (!is_scalar()) must_be(*this, "a text");
   return data_->text;
 }
 
@@ -476,7 +501,7 @@ ConfigNode ConfigNode::with(std::string_view dotted_path, const ConfigNode& valu
     copy.items[i] = changed(copy.items[i]);
     return Access::make(std::move(copy));
   }
-  if (is_scalar()) wrong_type(*this, "a mapping with a key " + key);
+  if (is_scalar()) must_be(*this, "a mapping with a key " + key);
   copy.kind = Kind::mapping;
   for (auto& [name, old] : copy.entries) {
     if (name == key) {
@@ -532,11 +557,11 @@ void ConfigNode::fail(const std::string& message) const {
 
 void ConfigNode::refuse_unknown_keys(const std::vector<std::string>& known) const {
   if (is_null()) return;
-  if (!is_mapping()) wrong_type(*this, "a mapping");
+  if (!is_mapping()) must_be(*this, "a mapping");
   for (const auto& [key, value] : data_->entries) {
     if (std::find(known.begin(), known.end(), key) != known.end()) continue;
-    const std::string close = nearest(key, known);
-    value.fail("is not a known key" + (close.empty() ? std::string() : "; nearest: " + close));
+    const std::string kind = path().empty() ? other_kind(*this, known) : "";
+    value.fail("is not a known key" + (kind.empty() ? nearest_hint(key, known) : "; the file is " + kind));
   }
 }
 
@@ -552,27 +577,65 @@ std::string ConfigNode::to_json() const {
 }
 
 std::string nearest(std::string_view word, const std::vector<std::string>& known) {
-  std::string best;
-  std::size_t best_distance = std::numeric_limits<std::size_t>::max();
-  for (const auto& candidate : known) {
-    // Levenshtein distance, one row at a time.
-    std::vector<std::size_t> row(candidate.size() + 1);
-    for (std::size_t j = 0; j < row.size(); ++j) row[j] = j;
-    for (std::size_t i = 1; i <= word.size(); ++i) {
-      std::size_t diagonal = row[0];
-      row[0] = i;
-      for (std::size_t j = 1; j < row.size(); ++j) {
-        const std::size_t replaced = diagonal + (word[i - 1] == candidate[j - 1] ? 0 : 1);
-        diagonal = row[j];
-        row[j] = std::min({replaced, row[j] + 1, row[j - 1] + 1});
-      }
-    }
-    if (row.back() < best_distance) {
-      best_distance = row.back();
-      best = candidate;
-    }
+  const auto closest = std::min_element(known.begin(), known.end(), [&](const auto& a, const auto& b) {
+    return edit_distance(word, a) < edit_distance(word, b);
+  });
+  return closest == known.end() ? "" : *closest;
+}
+
+ConfigNode place(const ConfigNode& config, std::string_view dotted_path) {
+  const auto dot = dotted_path.find('.');
+  const std::string_view key = dotted_path.substr(0, dot);
+  std::optional<ConfigNode> next;
+  if (config.is_sequence()) {
+    std::size_t i = 0;
+    const auto [end, error] = std::from_chars(key.data(), key.data() + key.size(), i);
+    if (error == std::errc() && end == key.data() + key.size() && i < config.size()) next = config[i];
+  } else if (config.is_mapping()) {
+    next = config.find(key);
   }
-  return best;
+  if (next) return dot == std::string_view::npos ? *next : place(*next, dotted_path.substr(dot + 1));
+  const auto& data = Access::data(config);
+  // The first line of a file says nothing about a key that is not in it.
+  return Access::make({.file = data.file,
+                       .line = data.path.empty() ? 0 : data.line,
+                       .folder = data.folder,
+                       .path = join(data.path, dotted_path)});
+}
+
+std::string shown(const ConfigNode& node) {
+  const auto& data = Access::data(node);
+  if (!node.is_scalar() && !is_short_list(node)) return kind_name(data.kind);
+  std::ostringstream out;
+  if (node.is_scalar())
+    out << (data.is_quoted ? '"' + data.text + '"' : data.text);
+  else
+    write_yaml(node, out, 0, true);
+  const std::string text = out.str();
+  return text.size() > 60 ? text.substr(0, 60) + "..." : text;
+}
+
+void must_be(const ConfigNode& node, const std::string& wanted) {
+  node.fail((node.path().empty() ? "holds " : "= ") + shown(node) + (Access::data(node).is_quoted ? " (a text)" : "") +
+            ", must be " + wanted);
+}
+
+void fail_because(const ConfigNode& node, const std::string& reason) {
+  const bool is_short = node.is_scalar() || is_short_list(node);
+  throw ConfigError(node.where() + ": " + node.path() + (is_short ? " = " + shown(node) : "") + ": " + reason);
+}
+
+std::string nearest_hint(std::string_view word, const std::vector<std::string>& known) {
+  const std::string close = nearest(word, known);
+  const std::size_t distance = edit_distance(word, close), longer = std::max(word.size(), close.size());
+  const bool is_near = distance < longer && distance <= std::max<std::size_t>(2, longer / 2);
+  return close.empty() || !is_near ? "" : "; nearest: " + close;
+}
+
+std::string one_of(const std::vector<std::string>& allowed) {
+  std::string text = "one of";
+  for (const auto& value : allowed) text += (&value == &allowed.front() ? " " : ", ") + value;
+  return text;
 }
 
 namespace {
@@ -582,25 +645,6 @@ namespace {
 ConfigNode with_plugin(const ConfigNode& slot, const ConfigNode& name) {
   const auto plugin = ConfigNode::mapping({{"plugin", name}});
   return slot.is_mapping() ? slot.merged(plugin) : plugin;
-}
-
-std::optional<ConfigNode> find_path(ConfigNode node, std::string_view path) {
-  while (!path.empty()) {
-    const auto dot = path.find('.');
-    const std::string_view key = path.substr(0, dot);
-    path = dot == std::string_view::npos ? std::string_view() : path.substr(dot + 1);
-    std::optional<ConfigNode> next;
-    if (node.is_sequence()) {
-      std::size_t i = 0;
-      const auto [end, error] = std::from_chars(key.data(), key.data() + key.size(), i);
-      if (error == std::errc() && end == key.data() + key.size() && i < node.size()) next = node[i];
-    } else if (node.is_mapping()) {
-      next = node.find(key);
-    }
-    if (!next) return std::nullopt;
-    node = *next;
-  }
-  return node;
 }
 
 }  // namespace
@@ -619,8 +663,8 @@ ConfigNode apply_override(const ConfigNode& config, const std::string& assignmen
   const auto last = path.rfind('.');
   if (last != std::string::npos && path.substr(last + 1) == "plugin") {
     const std::string slot_path = path.substr(0, last);
-    const auto slot = find_path(config, slot_path);
-    if (slot && (slot->is_mapping() || slot->is_scalar())) return config.with(slot_path, with_plugin(*slot, value));
+    const ConfigNode slot = place(config, slot_path);
+    if (slot.is_mapping() || slot.is_scalar()) return config.with(slot_path, with_plugin(slot, value));
   }
   return config.with(path, value);
 }

@@ -4,6 +4,7 @@
 
 #include "conformance_kit.hpp"
 #include "weft/optimiser.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft {
 namespace conformance {
@@ -80,8 +81,7 @@ std::vector<LawResult> check_conformance(Host& host, const std::string& kind, co
   for (const auto& law : laws) names.emplace_back(law.name);
   for (const auto& name : only) {
     if (std::find(names.begin(), names.end(), name) == names.end())
-      throw ConfigError("conformance: no law of " + kind + " is called '" + name +
-                        "'; nearest: " + nearest(name, names));
+      throw ConfigError("conformance: no law of " + kind + " is called '" + name + "'" + nearest_hint(name, names));
   }
   auto keys = names;
   keys.insert(keys.end(), {"params", "task"});

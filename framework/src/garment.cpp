@@ -6,6 +6,8 @@
 #include <tuple>
 #include <vector>
 
+#include "weft/refusal.hpp"
+
 namespace weft {
 namespace {
 
@@ -262,7 +264,7 @@ Index Garment::vertex(const std::string& vertex_name) const {
   for (const auto& entry : vertices) known.push_back(entry.first);
   throw ConfigError(
       "garment " + name + ": no vertex is named '" + vertex_name + "'" +
-      (known.empty() ? "; this garment names none" : "; did you mean '" + nearest(vertex_name, known) + "'?"));
+      (known.empty() ? "; this garment names none" : ", must be " + one_of(known) + nearest_hint(vertex_name, known)));
 }
 
 Garment make_garment(const Mesh& mesh, std::string name, std::map<std::string, Index> vertices) {
@@ -294,11 +296,12 @@ Garment read_garment(const ConfigNode& node) {
   if (!node.is_scalar()) node.fail("must be the path of an OBJ or garment YAML, or a mapping {mesh, name, vertices}");
   const std::filesystem::path path = node.as_path();
   const std::string extension = path.extension().string();
-  if (extension == ".yaml" || extension == ".yml") return read_garment_mapping(ConfigNode::load(path));
+  if (extension == ".yaml" || extension == ".yml")
+    return blaming(node, [&] { return read_garment_mapping(ConfigNode::load(path)); });
   if (extension != ".obj" && extension != ".OBJ") {
     node.fail("= " + node.as_string() + ", must be an .obj mesh or a .yaml garment");
   }
-  return make_garment(read_obj(path), path.stem().string());
+  return blaming(node, [&] { return make_garment(read_obj(path), path.stem().string()); });
 }
 
 double mean_distance_mm(const Positions& a, const Positions& b) {

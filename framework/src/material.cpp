@@ -7,6 +7,8 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "weft/refusal.hpp"
+
 namespace weft {
 namespace {
 
@@ -195,8 +197,7 @@ Fabric read_arcsim(const std::filesystem::path& path) {
                                           "name",    "stretch_multiplier", "bend_multiplier"};
   for (const auto& entry : json.items()) {
     if (std::find(known.begin(), known.end(), entry.key()) == known.end()) {
-      throw ConfigError(where + "unknown key '" + entry.key() + "'; did you mean '" + nearest(entry.key(), known) +
-                        "'?");
+      throw ConfigError(where + entry.key() + " is not a known key" + nearest_hint(entry.key(), known));
     }
   }
   Fabric fabric;
@@ -372,7 +373,7 @@ Fabric MaterialSpace::at(const MaterialProperties& q) const {
 }
 
 MaterialSpace read_material_space(const ConfigNode& node) {
-  if (node.is_scalar()) return read_material_space(ConfigNode::load(node.as_path()));
+  if (node.is_scalar()) return blaming(node, [&] { return read_material_space(ConfigNode::load(node.as_path())); });
   if (!node.is_mapping()) node.fail("must be a mapping {nominal, properties} or the path of such a file");
   node.refuse_unknown_keys({"nominal", "properties"});
   MaterialSpace space;

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <sstream>
 
+#include "weft/refusal.hpp"
+
 namespace weft {
 namespace {
 
@@ -16,15 +18,6 @@ std::string range_text(const Range& range) {
   if (low) return "at least " + number_text(range.lower);
   if (high) return "at most " + number_text(range.upper);
   return "a number";
-}
-
-// A scalar's text, for messages about a value of the wrong kind.
-std::string got(const ConfigNode& node) { return node.is_scalar() ? "= " + node.as_string() + ", " : ""; }
-
-std::string choice_text(const Choice& choice) {
-  std::string text = "one of";
-  for (const auto& value : choice.values) text += (text.size() > 6 ? ", " : " ") + value;
-  return text;
 }
 
 /// Reads the fields from a mapping and builds the resolved mapping at the same time.
@@ -51,7 +44,7 @@ class Reader final : public ParamVisitor {
     if (const auto node = take(name)) {
       value = node->as_string();
       if (std::find(choice.values.begin(), choice.values.end(), value) == choice.values.end()) {
-        node->fail("= " + value + ", must be " + choice_text(choice) + "; nearest: " + nearest(value, choice.values));
+        node->fail("= " + shown(*node) + ", must be " + one_of(choice.values) + nearest_hint(value, choice.values));
       }
     }
     keep(name, ConfigNode::quoted(value));
@@ -62,7 +55,7 @@ class Reader final : public ParamVisitor {
   }
   void operator()(const char* name, std::vector<double>& value, const Range& range, const char*) override {
     if (const auto node = take(name)) {
-      if (!node->is_sequence()) node->fail(got(*node) + "must be a list of numbers, each " + range_text(range));
+      if (!node->is_sequence()) must_be(*node, "a list of numbers, each " + range_text(range));
       value.clear();
       for (std::size_t i = 0; i < node->size(); ++i)
         value.push_back(checked((*node)[i], (*node)[i].as_double(), range));
@@ -73,7 +66,7 @@ class Reader final : public ParamVisitor {
   }
   void operator()(const char* name, std::vector<std::string>& value, const char*) override {
     if (const auto node = take(name)) {
-      if (!node->is_sequence()) node->fail(got(*node) + "must be a list of texts");
+      if (!node->is_sequence()) must_be(*node, "a list of texts");
       value.clear();
       for (std::size_t i = 0; i < node->size(); ++i) value.push_back((*node)[i].as_string());
     }
@@ -93,7 +86,7 @@ class Reader final : public ParamVisitor {
   }
   void begin_group(const char* name, const char*) override {
     auto node = take(name).value_or(ConfigNode());
-    if (!node.is_null() && !node.is_mapping()) node.fail(got(node) + "must be a mapping");
+    if (!node.is_null() && !node.is_mapping()) must_be(node, "a mapping");
     levels_.push_back({std::move(node), name, {}, {}});
   }
   void end_group() override {
@@ -130,8 +123,7 @@ class Reader final : public ParamVisitor {
   void keep(const std::string& name, ConfigNode value) { levels_.back().resolved.emplace_back(name, std::move(value)); }
   static double checked(const ConfigNode& node, double value, const Range& range) {
     if (!(value >= range.lower && value <= range.upper)) {
-      node.fail("= " + node.as_string() + ", must be " + range_text(range) +
-                (range.unit.empty() ? "" : " " + range.unit));
+      must_be(node, range_text(range) + (range.unit.empty() ? "" : " " + range.unit));
     }
     return value;
   }
@@ -152,7 +144,7 @@ class Describer final : public ParamVisitor {
     add(name, "bool", "", "true or false", value ? "true" : "false", text);
   }
   void operator()(const char* name, std::string& value, const Choice& choice, const char* text) override {
-    add(name, "text", "", choice_text(choice), value, text);
+    add(name, "text", "", one_of(choice.values), value, text);
   }
   void operator()(const char* name, std::string& value, const char* text) override {
     add(name, "text", "", "", value, text);
@@ -197,7 +189,7 @@ class Describer final : public ParamVisitor {
 }  // namespace
 
 ConfigNode read_params_erased(const ConfigNode& node, void* params, ParamVisit visit) {
-  if (!node.is_null() && !node.is_mapping()) node.fail(got(node) + "must be a mapping of parameters");
+  if (!node.is_null() && !node.is_mapping()) must_be(node, "a mapping of parameters");
   Reader reader(node);
   visit(params, reader);
   return reader.finish();

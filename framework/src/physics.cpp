@@ -12,6 +12,7 @@
 #include "delaunay.hpp"
 #include "weft/error.hpp"
 #include "weft/random.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft {
 namespace {
@@ -922,11 +923,15 @@ std::vector<std::string> physics_test_names() {
           "free fall",    "rest",       "momentum",       "energy",   "refinement"};
 }
 
-std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task) {
+std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task,
+                                       const ConfigNode& origin) {
   const auto known = physics_test_names();
-  for (const auto& name : params.tests)
+  for (std::size_t i = 0; i < params.tests.size(); ++i) {
+    const std::string& name = params.tests[i];
     if (std::find(known.begin(), known.end(), name) == known.end())
-      throw ConfigError("physics: tests names '" + name + "'; nearest is '" + nearest(name, known) + "'");
+      place(origin, "physics.tests." + std::to_string(i))
+          .fail("= " + name + ", must be " + one_of(known) + nearest_hint(name, known));
+  }
   std::vector<PhysicsCase> all;
   add_elastica(all, params);
   add_hanging(all, params);
@@ -940,6 +945,11 @@ std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_
   for (auto& one : all)
     if (std::find(params.tests.begin(), params.tests.end(), one.test) != params.tests.end())
       chosen.push_back(std::move(one));
+  if (chosen.empty()) {
+    const ConfigNode tests = place(origin, "physics.tests");
+    tests.fail("= " + shown(tests) + " leaves no case to run: physics.folds.count = " +
+               std::to_string(params.folds.count) + ", physics.folds.paired = " + std::to_string(params.folds.paired));
+  }
   return chosen;
 }
 

@@ -6,6 +6,7 @@
 
 #include "weft/instance_rows.hpp"
 #include "weft/jvp.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft {
 namespace {
@@ -327,28 +328,31 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
   return loss;
 }
 
-Vector vertex_weights(const PlannerParams& params, Index vertices) {
+Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigNode& origin) {
   if (params.vertices.empty() && params.vertex_weights.empty()) return Vector::Ones(vertices);
   std::vector<double> counted = params.vertices;
   if (counted.empty()) {
     for (Index v = 0; v < vertices; ++v) counted.push_back(static_cast<double>(v));
   }
   if (!params.vertex_weights.empty() && params.vertex_weights.size() != counted.size()) {
-    throw ConfigError("planning.vertex_weights has " + std::to_string(params.vertex_weights.size()) +
-                      " numbers, must have " + std::to_string(counted.size()) + ": one per vertex that counts");
+    place(origin, "planning.vertex_weights")
+        .fail("has " + std::to_string(params.vertex_weights.size()) + " numbers, must have " +
+              std::to_string(counted.size()) + ": one per vertex that counts");
   }
   Vector weights = Vector::Constant(vertices, -1.0);
   for (std::size_t i = 0; i < counted.size(); ++i) {
+    const auto refuse = [&](const std::string& problem) {
+      place(origin, "planning.vertices." + std::to_string(i))
+          .fail("= " + ConfigNode::number(counted[i]).as_string() + problem);
+    };
     const auto v = static_cast<Index>(counted[i]);
-    if (static_cast<double>(v) != counted[i] || v >= vertices) {
-      throw ConfigError("planning.vertices[" + std::to_string(i) + "] must be a vertex in [0, " +
-                        std::to_string(vertices - 1) + "]");
-    }
-    if (weights(v) >= 0.0) throw ConfigError("planning.vertices names vertex " + std::to_string(v) + " twice");
+    if (static_cast<double>(v) != counted[i] || v >= vertices)
+      refuse(", must be a vertex in [0, " + std::to_string(vertices - 1) + "]");
+    if (weights(v) >= 0.0) refuse(" is listed twice");
     weights(v) = params.vertex_weights.empty() ? 1.0 : params.vertex_weights[i];
   }
   weights = weights.cwiseMax(0.0);
-  if (weights.sum() <= 0.0) throw ConfigError("planning.vertex_weights: at least one must be above 0");
+  if (weights.sum() <= 0.0) place(origin, "planning.vertex_weights").fail("are all 0, at least one must be above");
   return weights * (static_cast<double>(vertices) / weights.sum());
 }
 

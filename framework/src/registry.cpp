@@ -16,6 +16,7 @@
 #include "weft/optimiser.hpp"
 #include "weft/plugin.hpp"
 #include "weft/predictor.hpp"
+#include "weft/refusal.hpp"
 #include "weft/simulator.hpp"
 #include "weft/trajectory.hpp"
 
@@ -65,6 +66,8 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   const auto refuse = [&](const std::string& reason) -> void {
     throw PluginError(file.string() + ": refused: " + reason);
   };
+  std::error_code ignored;
+  if (!fs::exists(file, ignored)) refuse("no such file");
   auto library = std::make_shared<Library>();
   library->entry.file = file;
   std::string detail;
@@ -226,6 +229,13 @@ std::vector<PluginEntry> PluginRegistry::list() const {
 }
 
 PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::string& kind) const {
+  const auto require_kind = [](const std::string& wanted) {
+    const std::vector<std::string> kinds(std::begin(kKinds), std::end(kKinds));
+    if (!wanted.empty() && std::find(kinds.begin(), kinds.end(), wanted) == kinds.end())
+      throw PluginError("'" + wanted + "' is no kind of plugin, must be " + one_of(kinds) +
+                        nearest_hint(wanted, kinds));
+  };
+  require_kind(kind);
   if (is_file_name(name_or_file)) {
     const auto& entry = impl_->library(name_or_file)->entry;
     if (!kind.empty() && entry.kind != kind) {
@@ -238,6 +248,7 @@ PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::str
   if (const auto slash = name.find('/'); slash != std::string::npos) {
     wanted_kind = name.substr(0, slash);
     name = name.substr(slash + 1);
+    require_kind(wanted_kind);
   }
   if (const auto found = impl_->find(wanted_kind, name)) return found->entry;
   std::vector<std::string> known;
@@ -246,9 +257,8 @@ PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::str
     if (entry.refusal.empty() && (wanted_kind.empty() || entry.kind == wanted_kind)) known.push_back(entry.name);
   }
   for (const auto& folder : impl_->search_path) searched += (searched.empty() ? "" : ", ") + folder.string();
-  const std::string close = nearest(name, known);
   throw PluginError("no " + (wanted_kind.empty() ? "plugin" : wanted_kind + " plugin") + " is called '" + name + "'" +
-                    (close.empty() ? "" : "; nearest: " + close) + " (searched " + searched + ")");
+                    nearest_hint(name, known) + " (searched " + searched + ")");
 }
 
 namespace {

@@ -7,6 +7,7 @@
 #include <numeric>
 
 #include "weft/hdf5_file.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft {
 namespace {
@@ -24,10 +25,9 @@ std::vector<float> to_frame(const Positions& positions) {
   return {single.data(), single.data() + single.size()};
 }
 
-PropertyVector read_property_vector(const ConfigNode& origin, const char* key, const std::vector<double>& values) {
-  if (values.size() != 4) {
-    origin.fail(std::string(key) + " must be a list of 4 numbers in [0, 1]: friction, bend, stretch, thickness");
-  }
+/// Of a list that check_session() passed.
+PropertyVector property_vector(const std::vector<double>& values) {
+  require_shape("material properties", static_cast<Index>(values.size()), 4);
   return Eigen::Map<const Eigen::Vector4d>(values.data());
 }
 
@@ -91,15 +91,25 @@ class EstimateChain {
 
 /// Rows of controls from the config: a list of rows, or one row that is repeated until release.
 Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Index horizon) {
-  const auto columns = static_cast<Index>(trajectory.controls().size());
+  const auto variables = trajectory.controls();
+  const auto columns = static_cast<Index>(variables.size());
   if (!node.is_sequence() || node.size() == 0)
-    node.fail("must be a list of rows of " + std::to_string(columns) + " numbers");
+    must_be(node, "a list of rows of " + std::to_string(columns) + " numbers");
   const auto read_row = [&](const ConfigNode& row) {
     if (static_cast<Index>(row.size()) != columns) {
       row.fail("has " + std::to_string(row.size()) + " numbers, must have " + std::to_string(columns));
     }
     Vector values(columns);
-    for (Index c = 0; c < columns; ++c) values(c) = row[static_cast<std::size_t>(c)].as_double();
+    for (Index c = 0; c < columns; ++c) {
+      const auto& variable = variables[static_cast<std::size_t>(c)];
+      const ConfigNode entry = row[static_cast<std::size_t>(c)];
+      values(c) = entry.as_double();
+      if (!(values(c) >= variable.lower && values(c) <= variable.upper)) {
+        must_be(entry, "in [" + ConfigNode::number(variable.lower).as_string() + ", " +
+                           ConfigNode::number(variable.upper).as_string() + "] " + variable.unit + " (" +
+                           variable.name + ")");
+      }
+    }
     return values;
   };
   if (node[0].is_scalar()) {
@@ -225,8 +235,8 @@ struct SessionGoal {
   Controls controls;               // of a goal that was simulated, else 0 rows
 };
 
-MaterialProperties true_material_of(const SessionParams& params, const ConfigNode& origin) {
-  if (!params.true_material.empty()) return read_property_vector(origin, "true_material", params.true_material);
+MaterialProperties true_material_of(const SessionParams& params) {
+  if (!params.true_material.empty()) return property_vector(params.true_material);
   RandomStream random(static_cast<std::uint64_t>(params.seed), kMaterialStream);
   MaterialProperties q;
   for (Index p = 0; p < 4; ++p) q(p) = random.uniform();
@@ -234,12 +244,12 @@ MaterialProperties true_material_of(const SessionParams& params, const ConfigNod
 }
 
 /// What is known before the first segment; `estimate`: nothing.
-MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin, const MaterialProperties& q) {
+MaterialKnowledge first_knowledge(const SessionParams& params, const MaterialProperties& q) {
   MaterialKnowledge knowledge;
   if (params.knowledge == "true") knowledge = MaterialKnowledge::certain(q);
   if (params.knowledge == "given") {
-    knowledge.centre = read_property_vector(origin, "given_centre", params.given_centre);
-    knowledge.width = read_property_vector(origin, "given_width", params.given_width);
+    knowledge.centre = property_vector(params.given_centre);
+    knowledge.width = property_vector(params.given_width);
   }
   if (params.knowledge == "drawn") {
     RandomStream random(static_cast<std::uint64_t>(params.seed), kKnowledgeStream);
@@ -252,36 +262,50 @@ MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode&
   return knowledge;
 }
 
-std::shared_ptr<const Predictor> bound_predictor(const SessionParams& params, const ConfigNode& origin,
-                                                 const Task& task, Host& host) {
-  if (params.predictor.is_null()) origin.fail("predictor is missing; name one, such as {plugin: rollout}");
-  const auto predictor = host.create<Predictor>(params.predictor);
-  predictor->bind(task);
-  return predictor;
+Task session_task(const SessionParams& params, const ConfigNode& origin, Host& host) {
+  Task task = make_task(params.task, origin, host);
+  check_session(params, origin, task);
+  return task;
 }
 
-/// What the default control gives, and the goal.
+/// The goal as far as it is given: a shape, or controls, or neither.
+SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const Task& task) {
+  SessionGoal goal;
+  std::vector<std::string> given;
+  if (!params.obj.empty()) given.push_back("goal.obj");
+  if (!params.example.empty()) given.push_back("goal.example");
+  if (!params.controls.is_null()) given.push_back("goal.controls");
+  if (given.empty()) return goal;
+  const ConfigNode node = place(origin, given.back());
+  if (given.size() > 1) node.fail("is given beside " + given.front() + "; at most one of obj, example and controls");
+  if (!params.controls.is_null()) {
+    goal.controls = read_controls(params.controls, *task.trajectory, params.horizon);
+    return goal;
+  }
+  goal.shape = blaming(node, [&] {
+    return params.obj.empty() ? final_shape_of(params.example, *task.garment) : read_obj(params.obj).positions;
+  });
+  if (goal.shape.rows() != task.garment->vertex_count()) {
+    fail_because(node, "has " + std::to_string(goal.shape.rows()) + " vertices, must have the garment's " +
+                           std::to_string(task.garment->vertex_count()));
+  }
+  return goal;
+}
+
+/// What the default control gives, and the goal. What is given is read first: simulating takes its time.
 SessionGoal make_goal(const SessionParams& params, const ConfigNode& origin, const Task& task,
                       const MaterialProperties& true_material, Host& host) {
   const auto& trajectory = *task.trajectory;
-  SessionGoal goal;
+  SessionGoal goal = read_goal(params.goal, origin, task);
   const auto reference = host.create<Simulator>(task.simulator);
   const Index horizon = params.goal.horizon;
   goal.default_shape =
       simulate_fold(*reference, task, true_material, trajectory.default_controls(horizon)).shapes.back();
-  const MaterialProperties goal_material = params.goal.material.empty()
-                                               ? true_material
-                                               : read_property_vector(origin, "goal.material", params.goal.material);
-  const int given = !params.goal.obj.empty() + !params.goal.example.empty() + !params.goal.controls.is_null();
-  if (given > 1) origin.fail("goal: give at most one of obj, example and controls");
-  if (!params.goal.obj.empty()) {
-    goal.shape = read_obj(params.goal.obj).positions;
-  } else if (!params.goal.example.empty()) {
-    goal.shape = final_shape_of(params.goal.example, *task.garment);
-  } else if (!params.goal.controls.is_null()) {
-    goal.controls = read_controls(params.goal.controls, trajectory, horizon);
+  const MaterialProperties goal_material =
+      params.goal.material.empty() ? true_material : property_vector(params.goal.material);
+  if (goal.controls.rows() > 0) {
     goal.shape = simulate_fold(*reference, task, goal_material, goal.controls).shapes.back();
-  } else {
+  } else if (goal.shape.rows() == 0) {
     const auto& random_goal = params.goal.random;
     for (std::int64_t attempt = 0; attempt < random_goal.attempts && goal.shape.rows() == 0; ++attempt) {
       RandomStream random =
@@ -304,24 +328,47 @@ SessionGoal make_goal(const SessionParams& params, const ConfigNode& origin, con
                   std::to_string(random_goal.min_distance_mm) + " mm or more from what the default control gives");
     }
   }
-  if (goal.shape.rows() != task.garment->vertex_count()) {
-    origin.fail("goal has " + std::to_string(goal.shape.rows()) + " vertices, the garment has " +
-                std::to_string(task.garment->vertex_count()));
-  }
   return goal;
 }
 
 }  // namespace
 
+void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task) {
+  const std::pair<const char*, const std::vector<double>*> lists[] = {
+      {"true_material", &params.true_material},
+      {"given_centre", &params.given_centre},
+      {"given_width", &params.given_width},
+      {"goal.material", &params.goal.material},
+      {"estimation.deviation_scale", &params.estimation.deviation_scale}};
+  for (const auto& [key, values] : lists) {
+    if (!values->empty() && values->size() != 4)
+      must_be(place(origin, key), "a list of 4 numbers: friction, bend, stretch, thickness");
+  }
+  if (params.knowledge == "given" && (params.given_centre.empty() || params.given_width.empty()))
+    place(origin, "knowledge").fail("= given, which needs given_centre and given_width, lists of 4 numbers in [0, 1]");
+  vertex_weights(params.planning, task.garment->vertex_count(), origin);
+}
+
+std::shared_ptr<const Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host) {
+  if (slot.is_null()) must_be(slot, "a predictor plugin, such as {plugin: rollout}");
+  const auto predictor = host.create<Predictor>(slot);
+  ConfigNode blamed = slot;
+  for (const char* file : {"params.model", "params.module"}) {
+    if (const ConfigNode given = place(slot, file); !given.is_null()) blamed = given;
+  }
+  blaming(blamed, [&] { predictor->bind(task); });
+  return predictor;
+}
+
 SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host,
                           const SessionProgress& progress) {
-  const Task task = make_task(params.task, origin, host);
+  const Task task = session_task(params, origin, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
   const auto& trajectory = *task.trajectory;
   SessionResult result;
-  result.true_material = true_material_of(params, origin);
-  MaterialKnowledge knowledge = first_knowledge(params, origin, result.true_material);
-  const auto predictor = bound_predictor(params, origin, task, host);
+  result.true_material = true_material_of(params);
+  MaterialKnowledge knowledge = first_knowledge(params, result.true_material);
+  const auto predictor = bound_predictor(place(origin, "predictor"), task, host);
   const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
   std::unique_ptr<const Estimator> estimator;
   if (params.knowledge == "estimate") {
@@ -330,8 +377,7 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   }
   std::unique_ptr<const Planner> refiner;
   if (params.refinement.plans > 0) {
-    const auto simulation = host.create<Predictor>(params.refinement.predictor);
-    simulation->bind(task);
+    const auto simulation = bound_predictor(params.refinement.predictor, task, host);
     PlannerParams refinement = params.planning;
     refinement.instances = 1;
     refinement.replan_iterations = params.refinement.iterations;
@@ -419,10 +465,10 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
 
 LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Index segment,
                     Host& host) {
-  const Task task = make_task(params.task, origin, host);
+  const Task task = session_task(params, origin, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
-  const Planner planner(task, bound_predictor(params, origin, task, host), host.create<Optimiser>(params.optimiser),
-                        params.planning, host);
+  const Planner planner(task, bound_predictor(place(origin, "predictor"), task, host),
+                        host.create<Optimiser>(params.optimiser), params.planning, host);
   LonePlan result;
   PlanRequest request{.seed = seed};
   if (recorded != nullptr) {
@@ -450,8 +496,8 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
     request.round = segment - 1;
     result.goal = recorded->goal;
   } else {
-    const MaterialProperties q = true_material_of(params, origin);
-    request.knowledge = first_knowledge(params, origin, q);
+    const MaterialProperties q = true_material_of(params);
+    request.knowledge = first_knowledge(params, q);
     result.goal = make_goal(params, origin, task, q, host).shape;
     const SimulatorEnvironment at_start(host.create<Simulator>(task.simulator), task, q);
     request.shape = filled_start(task, observe_shape(at_start.positions(), params.observation, seed, 0));
@@ -486,8 +532,8 @@ std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& t
 
 LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded,
                              Host& host) {
-  const Task task = make_task(params.task, origin, host);
-  const Estimator estimator(task, bound_predictor(params, origin, task, host),
+  const Task task = session_task(params, origin, host);
+  const Estimator estimator(task, bound_predictor(place(origin, "predictor"), task, host),
                             host.create<Optimiser>(params.estimation_optimiser), params.estimation, host);
   LoneEstimates result;
   Replay replay;
@@ -503,7 +549,7 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
       replay.shapes.push_back(recorded->shape_after(j));
     }
   } else {
-    result.true_material = true_material_of(params, origin);
+    result.true_material = true_material_of(params);
     const Controls controls = task.trajectory->default_controls(params.goal.horizon);
     FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, result.true_material, controls);
     replay.state = fold.states.row(0).transpose();

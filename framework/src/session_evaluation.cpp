@@ -8,6 +8,7 @@
 
 #include "weft/estimator.hpp"
 #include "weft/hdf5_file.hpp"
+#include "weft/refusal.hpp"
 #include "weft/report.hpp"
 
 namespace weft {
@@ -380,8 +381,7 @@ AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams&
     read_params(config, params);
     const std::uint64_t seed = seed_of(config);
     const Task task = make_task(params.task, config, host);
-    const auto predictor = host.create<Predictor>(params.predictor);
-    predictor->bind(task);
+    const auto predictor = bound_predictor(place(config, "predictor"), task, host);
     const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
                               host);
     Example made;

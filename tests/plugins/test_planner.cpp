@@ -334,6 +334,12 @@ TEST(Planner, RefusesVerticesAndWeightsThatMakeNoSense) {
     setup.params.vertex_weights = std::move(weights);
     EXPECT_THROW(setup.plan(), ConfigError);
   };
+  PlannerParams params;
+  params.vertices = {1, 2};
+  const auto origin = ConfigNode::parse("a: 1\nplanning: {vertices: [1, 2]}", "task.yaml");
+  EXPECT_THAT([&] { vertex_weights(params, 2, origin); },
+              testing::ThrowsMessage<ConfigError>(
+                  testing::StrEq("task.yaml:2: planning.vertices.1 = 2, must be a vertex in [0, 1]")));
   refuse({2}, {});
   refuse({0.5}, {});
   refuse({1, 1}, {});

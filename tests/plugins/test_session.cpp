@@ -267,12 +267,36 @@ TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
   const auto message = [&](const std::vector<std::string>& overrides) {
     return test::message_of<ConfigError>([&] { run(overrides); });
   };
-  EXPECT_THAT(message({"true_material=[0.5, 0.5]"}), testing::HasSubstr("list of 4 numbers"));
-  EXPECT_THAT(message({"goal.controls=[1, 2]"}), testing::HasSubstr("has 2 numbers, must have 5"));
-  EXPECT_THAT(message({"goal.controls=[2,0,0,0,0]", "goal.obj=x.obj"}), testing::HasSubstr("at most one"));
-  EXPECT_THAT(message({"manipulation.displacement_m=[0, 0]"}), testing::HasSubstr("displacement"));
-  EXPECT_THAT(message({"manipulation.grasp=[left_botom, left_top]"}), testing::HasSubstr("left_bottom"));
-  EXPECT_THAT(message({"knowledge=given"}), testing::HasSubstr("given_centre"));
+  // A simulator that cannot start: what is refused is refused before it is asked to.
+  const std::string broken = "simulator={plugin: cloth, params: {min_substeps: 1, max_substeps: 1}}";
+  EXPECT_THAT(message({broken}), testing::HasSubstr("max_substeps"));
+  const auto points = folder_.write("point.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").string();
+  const std::pair<std::vector<std::string>, std::string> cases[] = {
+      {{"true_material=[0.5, 0.5]"}, "--set: true_material = [0.5, 0.5], must be a list of 4 numbers"},
+      {{"goal.material=[1]"}, "--set: goal.material = [1], must be a list of 4 numbers"},
+      {{"estimation.deviation_scale=[1, 2]"}, "--set: estimation.deviation_scale = [1, 2], must be a list of 4"},
+      {{"knowledge=given"}, "--set: knowledge = given, which needs given_centre and given_width"},
+      {{"knowledge=given", "given_centre=[1]"}, "--set: given_centre = [1], must be a list of 4 numbers"},
+      {{"scene.gravity_m_per_s2=[-9.81]"}, "--set: scene.gravity_m_per_s2 = [-9.81], must be a list of 3 numbers"},
+      {{"planning.vertices=[99999]"}, "--set: planning.vertices.0 = 99999, must be a vertex in [0, "},
+      {{"planning.vertex_weights=[1]"}, "--set: planning.vertex_weights has 1 numbers, must have "},
+      {{"manipulation.grasp=[left_top]"}, "--set: manipulation.grasp = [left_top], must be 2 named vertices"},
+      {{"manipulation.grasp=[left_botom, left_top]"}, "--set: manipulation.grasp.0 = left_botom: garment towel: "},
+      {{"manipulation.displacement_m=[1]"}, "--set: manipulation.displacement_m = [1], must be a list of 2 numbers"},
+      {{"manipulation.displacement_m=[0, 0]"}, "--set: manipulation.displacement_m = [0, 0]: arc: |d| = 0 m"},
+      {{"predictor=null"}, ": predictor = nothing, must be a predictor plugin"},
+      {{"goal.controls=[1, 2]"}, "goal.controls has 2 numbers, must have 5"},
+      {{"goal.controls=[99, 0, 0, 0, 0]"}, "--set: goal.controls.0 = 99, must be in [0.5, 4] deg/frame (dtheta)"},
+      {{"goal.controls=[[2, 0, 0, 0, 0], [2, 0, -9, 0, 0]]"}, "--set: goal.controls.1.2 = -9, must be in ["},
+      {{"goal.controls=[2, 0, 0, 0, 0]", "goal.obj=x.obj"},
+       "--set: goal.controls is given beside goal.obj; at most one"},
+      {{"goal.obj=/none.obj"}, "--set: goal.obj = /none.obj: /none.obj: no such file"},
+      {{"goal.obj=" + points}, ": has 3 vertices, must have the garment's "},
+      {{"goal.example=/none.h5"}, "--set: goal.example = /none.h5: /none.h5: does not exist"},
+  };
+  for (const auto& [overrides, expected] : cases)
+    EXPECT_THAT(message(with(overrides, {broken})), testing::HasSubstr(expected)) << overrides.front();
+  EXPECT_THAT(message({"manipulation.displacement_m=[0, 0]"}), testing::HasSubstr("`weft displacement`"));
 }
 
 TEST_F(Session, SessionFileHoldsWhatTheSummarySays) {

@@ -3,6 +3,7 @@
 
 #include "unit/test_support.hpp"
 #include "weft/config.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft {
 namespace {
@@ -64,12 +65,55 @@ TEST(Config, WrongTypeSaysWhereWhatGotWanted) {
   EXPECT_EQ(refusal([&] { fold.at("garment").as_double(); }), "fold.yaml:1: garment = shirt.yaml, must be a number");
   EXPECT_EQ(refusal([&] { fold.at("garment").as_int(); }), "fold.yaml:1: garment = shirt.yaml, must be a whole number");
   EXPECT_EQ(refusal([&] { substeps.as_bool(); }), "fold.yaml:5: simulator.params.substeps = 4, must be true or false");
-  EXPECT_EQ(refusal([&] { fold.at("pins").as_string(); }), "fold.yaml:7: pins = a list, must be a text");
+  EXPECT_EQ(refusal([&] { fold.at("pins").as_string(); }), "fold.yaml:7: pins = [0, 20, 7], must be a text");
   EXPECT_EQ(refusal([&] { fold.at("simulator").as_double(); }), "fold.yaml:2: simulator = a mapping, must be a number");
   EXPECT_EQ(refusal([&] { substeps.find("a"); }), "fold.yaml:5: simulator.params.substeps = 4, must be a mapping");
   EXPECT_EQ(refusal([&] { substeps[0]; }), "fold.yaml:5: simulator.params.substeps = 4, must be a list");
   EXPECT_EQ(refusal([&] { parse("a:\n").at("a").as_double(); }), "fold.yaml:1: a = nothing, must be a number");
   EXPECT_THAT(refusal([&] { fold.at("pins")[3]; }), StartsWith("fold.yaml:7: pins has 3 items"));
+  EXPECT_EQ(refusal([&] { parse("a: '5'").at("a").as_int(); }),
+            "fold.yaml:1: a = \"5\" (a text), must be a whole number");
+  EXPECT_EQ(refusal([&] { parse("42").at("a"); }), "fold.yaml:1: holds 42, must be a mapping");
+}
+
+TEST(Config, PlaceIsTheNodeOrWhereItWouldStand) {
+  const ConfigNode fold = apply_override(parse(kFold), "pins=[4]");
+  EXPECT_EQ(place(fold, "pins.0").where(), "--set");
+  EXPECT_EQ(place(fold, "pins.0").path(), "pins.0");
+  EXPECT_EQ(place(fold, "simulator.params.substeps").as_int(), 4);
+  // Absent: the innermost node on the way says where; of a whole file its first line would mislead.
+  const ConfigNode absent = place(fold, "simulator.params.solver.name.x");
+  EXPECT_TRUE(absent.is_null());
+  EXPECT_EQ(absent.path(), "simulator.params.solver.name.x");
+  EXPECT_EQ(absent.where(), fold.at("simulator").at("params").at("solver").where());
+  EXPECT_EQ(place(fold, "goal.obj").where(), "fold.yaml");
+  EXPECT_EQ(refusal([&] { place(fold, "goal.obj").fail("is missing"); }), "fold.yaml: goal.obj is missing");
+}
+
+TEST(Config, BlamingSaysWhichKeyLedToAnError) {
+  const ConfigNode fold = parse(kFold);
+  EXPECT_EQ(blaming(fold, [] { return 3; }), 3);
+  EXPECT_EQ(
+      refusal([&] { blaming(fold.at("garment"), []() -> int { throw ConfigError("shirt.yaml: no such file"); }); }),
+      "fold.yaml:1: garment = shirt.yaml: shirt.yaml: no such file");
+  EXPECT_EQ(refusal([&] { blaming(fold.at("simulator"), []() -> int { throw ConfigError("no"); }); }),
+            "fold.yaml:2: simulator: no");
+}
+
+TEST(Config, AFileOfAnotherKindIsRecognised) {
+  const std::vector<std::string> task = {"description", "seed", "garment", "manipulation"};
+  const auto message = [](const std::string& text, const std::vector<std::string>& known) {
+    return refusal([&] { parse(text).refuse_unknown_keys(known); });
+  };
+  EXPECT_EQ(message("task: t.yaml\nfactors: {}\n", task),
+            "fold.yaml:1: task is not a known key; the file is an ablation, which `weft ablate` reads");
+  // An experiment extends a task, and its own commands know its keys.
+  EXPECT_THAT(message("manipulation: {}\ndata: {}\n", {"task"}), HasSubstr("the file is an experiment"));
+  EXPECT_EQ(message("data: {}\nsed: 1\n", {"seed", "data"}), "fold.yaml:2: sed is not a known key; nearest: seed");
+  EXPECT_THAT(message("name: a\ndensity_kg_per_m2: 1\n", {"nominal", "properties"}), HasSubstr("the file is a fabric"));
+  // Only the top of a file tells.
+  EXPECT_EQ(refusal([&] { parse("a: {factors: 1}").at("a").refuse_unknown_keys({"factor"}); }),
+            "fold.yaml:1: a.factors is not a known key; nearest: factor");
 }
 
 TEST(Config, NumbersAreDecimal) {
@@ -116,7 +160,7 @@ TEST(Config, UnknownKeyNamesTheNearestAndItsLine) {
 
 TEST(Config, MissingKeyNamesTheNearestThatIsThere) {
   EXPECT_EQ(refusal([&] { parse(kFold).at("simulator").at("plugins"); }),
-            "fold.yaml:2: simulator.plugins is missing (nearest key there: plugin)");
+            "fold.yaml:2: simulator.plugins is missing; nearest: plugin");
   EXPECT_EQ(refusal([&] { parse("").at("garment"); }), "fold.yaml: garment is missing");
 }
 
@@ -124,6 +168,10 @@ TEST(Config, NearestIsByEditDistance) {
   EXPECT_EQ(nearest("substep", {"solver", "substeps", "seed"}), "substeps");
   EXPECT_EQ(nearest("frition", {"bend", "friction"}), "friction");
   EXPECT_EQ(nearest("x", {}), "");
+  EXPECT_EQ(nearest_hint("frition", {"bend", "friction"}), "; nearest: friction");
+  EXPECT_EQ(nearest_hint("tyo", {"toy"}), "; nearest: toy");  // two letters changed places
+  EXPECT_EQ(nearest_hint("data", {"seed", "goal"}), "");      // nothing comes near
+  EXPECT_EQ(nearest_hint("x", {}), "");
 }
 
 TEST(Config, RefusesARepeatedKey) {
@@ -233,7 +281,8 @@ TEST(ConfigExtends, RefusalsNameTheLineThatExtends) {
   EXPECT_THAT(refusal([&] { ConfigNode::load(list); }),
               AllOf(StartsWith(list.string() + ":1: extends"), HasSubstr("must be a file that holds a mapping")));
   const auto wrong = folder.write("fold3.yaml", "extends: [a.yaml]\n");
-  EXPECT_THAT(refusal([&] { ConfigNode::load(wrong); }), StartsWith(wrong.string() + ":1: extends = a list"));
+  EXPECT_THAT(refusal([&] { ConfigNode::load(wrong); }),
+              StartsWith(wrong.string() + ":1: extends = [a.yaml], must be a text"));
   folder.write("broken.yaml", "a: 1\na: 2\n");
   const auto child = folder.write("fold4.yaml", "extends: broken.yaml\n");
   EXPECT_THAT(refusal([&] { ConfigNode::load(child); }),

@@ -245,7 +245,8 @@ TEST(Garment, NamesVerticesAndTheNearestWhenWrong) {
   const Garment garment = make_garment(read_text(kSquare + kFaces), "square", {{"left_bottom", 0}, {"right_top", 2}});
   EXPECT_EQ(garment.vertex("right_top"), 2);
   EXPECT_THAT(message_of<ConfigError>([&] { garment.vertex("left_botom"); }),
-              HasSubstr("garment square: no vertex is named 'left_botom'; did you mean 'left_bottom'?"));
+              HasSubstr("garment square: no vertex is named 'left_botom', must be one of left_bottom, right_top; "
+                        "nearest: left_bottom"));
 }
 
 TEST(ReadGarment, ReadsTheThreeForms) {
@@ -265,7 +266,8 @@ TEST(ReadGarment, ReadsTheThreeForms) {
   EXPECT_THAT(message_of<ConfigError>([&] { at("garment: square.stl"); }),
               HasSubstr("must be an .obj mesh or a .yaml garment"));
   EXPECT_THAT(message_of<ConfigError>([&] { at("garment: [1]"); }), HasSubstr("must be the path of an OBJ"));
-  EXPECT_THAT(message_of<ConfigError>([&] { at("garment: missing.obj"); }), HasSubstr("missing.obj: no such file"));
+  EXPECT_THAT(message_of<ConfigError>([&] { at("garment: missing.obj"); }),
+              AllOf(HasSubstr("task.yaml:1: garment = missing.obj: "), HasSubstr("missing.obj: no such file")));
 }
 
 TEST(MeanDistance, IsInMillimetres) {

@@ -179,7 +179,7 @@ TEST(ArcsimMaterial, RefusesDamagedFiles) {
   EXPECT_THAT(refused(replaced(kJson, "\"density\": 0.2", "\"density\": -0.2")),
               HasSubstr("density = -0.2, must be in (0, 1000]"));
   EXPECT_THAT(refused(replaced(kJson, "\"density\": 0.2", "\"densty\": 0.2")),
-              HasSubstr("unknown key 'densty'; did you mean 'density'?"));
+              HasSubstr("densty is not a known key; nearest: density"));
   EXPECT_THAT(refused(replaced(kJson, "\"density\": 0.2,", "")), HasSubstr("density is missing"));
   EXPECT_THAT(refused(replaced(kJson, "[61, 13, 31, 21]", "[61, 13, 31]")),
               HasSubstr("stretching[1] has 3 numbers, must have 4"));

@@ -106,14 +106,14 @@ TEST(Params, RangesIncludeTheirEndsAndAreNamedInTheRefusal) {
 
 TEST(Params, WrongTypesAreRefused) {
   EXPECT_EQ(refusal("dt_s: fast"), "fold.yaml:1: dt_s = fast, must be a number");
-  EXPECT_EQ(refusal("dt_s: '0.1'"), "fold.yaml:1: dt_s = 0.1, must be a number");
+  EXPECT_EQ(refusal("dt_s: '0.1'"), "fold.yaml:1: dt_s = \"0.1\" (a text), must be a number");
   EXPECT_EQ(refusal("substeps: 2.5"), "fold.yaml:1: substeps = 2.5, must be a whole number");
   EXPECT_EQ(refusal("warm: 1"), "fold.yaml:1: warm = 1, must be true or false");
-  EXPECT_EQ(refusal("label: [a]"), "fold.yaml:1: label = a list, must be a text");
+  EXPECT_EQ(refusal("label: [a]"), "fold.yaml:1: label = [a], must be a text");
   EXPECT_EQ(refusal("gravity: 9.81"), "fold.yaml:1: gravity = 9.81, must be a list of numbers, each in [-100, 100]");
   EXPECT_EQ(refusal("names: a"), "fold.yaml:1: names = a, must be a list of texts");
   EXPECT_EQ(refusal("solver: newton"), "fold.yaml:1: solver = newton, must be a mapping");
-  EXPECT_EQ(refusal("[1]"), "fold.yaml:1: must be a mapping of parameters");
+  EXPECT_EQ(refusal("[1]"), "fold.yaml:1: holds [1], must be a mapping of parameters");
 }
 
 TEST(Params, ChoicesAndKeysNameTheNearest) {

@@ -101,9 +101,10 @@ struct PhysicsCase {
 };
 /// @param task optional: adds the crease of the task's fold, random folds and what its material properties do. Only the
 /// cases' run() looks into it: without running, an empty Task gives the same list.
-/// @throws ConfigError for an unknown test name.
-WEFT_API std::vector<PhysicsCase> physics_cases(const PhysicsParams& params,
-                                                std::shared_ptr<const Task> task = nullptr);
+/// @param origin what params were read from, for messages. @throws ConfigError for an unknown test name, and for a
+/// choice that leaves no case.
+WEFT_API std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task = nullptr,
+                                                const ConfigNode& origin = {});
 WEFT_API std::vector<std::string> physics_test_names();
 /// Runs one case; an exception becomes a failed row.
 WEFT_API std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case,

@@ -98,8 +98,9 @@ WEFT_API Vector activity_residuals(const Task& task, ConstVec state, const Contr
                                    double slowness_weight, Matrix* jacobian);
 
 /// Weight of every vertex in the planning loss, [V], of mean 1: `vertices` and `vertex_weights` of the parameters.
+/// @param origin what holds `planning`, for messages.
 /// @throws ConfigError for an index that is no vertex, a repeated one, weights of another number, or of sum 0.
-WEFT_API Vector vertex_weights(const PlannerParams& params, Index vertices);
+WEFT_API Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigNode& origin = {});
 
 /// Trajectory planning (section 4). Uses the predictor for shapes and gradients, the optimiser for the search.
 class WEFT_API Planner {

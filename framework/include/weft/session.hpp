@@ -179,6 +179,14 @@ struct SessionParams {
   }
 };
 
+/// Refuses what read_params() cannot see: lists of a wrong length, missing ones, vertices that the garment lacks.
+/// @param origin what params were read from. @throws ConfigError.
+WEFT_API void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task);
+
+/// Makes a predictor and binds it to the task. What is wrong with its model file is said of the key that names it.
+/// @throws ConfigError, PluginError.
+WEFT_API std::shared_ptr<const Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host);
+
 /// One round: plan, execute one segment, observe.
 struct SessionRound {
   Plan plan;

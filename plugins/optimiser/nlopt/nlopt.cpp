@@ -9,6 +9,7 @@
 
 #include "weft/batching.hpp"
 #include "weft/random.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft::nlopt_solver {
 namespace {
@@ -44,7 +45,7 @@ constexpr Algorithm kAlgorithms[] = {
 const Algorithm& find(const std::string& name) {
   for (const auto& one : kAlgorithms)
     if (name == one.name) return one;
-  throw ConfigError("nlopt: no algorithm is called '" + name + "'; nearest: " + nearest(name, Params::algorithms()));
+  throw ConfigError("nlopt: no algorithm is called '" + name + "'" + nearest_hint(name, Params::algorithms()));
 }
 
 // Cost of a point without a finite value as long as none has one (algorithms without gradients).
