@@ -8,6 +8,7 @@
 #include "page.hpp"
 #include "weft/ablation.hpp"
 #include "weft/physics.hpp"
+#include "weft/refusal.hpp"
 #include "weft/session.hpp"
 
 namespace weft::app {
@@ -40,10 +41,9 @@ ConfigNode rehearse(const AblationPlan& plan, const AblationArm& arm, const Plug
     SessionParams params;
     const ConfigNode resolved = read_params(arm.config, params);
     const Task task = make_task(params.task, arm.config, host);
+    check_session(params, arm.config, task);
     check_simulator(task.simulator, task, host);
-    if (params.predictor.is_null()) arm.config.fail("predictor is missing; name one, such as {plugin: rollout}");
-    const auto predictor = host.create<Predictor>(params.predictor);
-    predictor->bind(task);
+    const auto predictor = bound_predictor(place(arm.config, "predictor"), task, host);
     const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
     return self_contained(resolved, task, registry, folder);
   } catch (const Error& error) {

@@ -5,6 +5,7 @@
 #include <set>
 
 #include "context.hpp"
+#include "options.hpp"
 #include "weft/dataset.hpp"
 
 namespace weft::app {
@@ -132,7 +133,7 @@ void register_dataset(CLI::App& app, Context& context) {
   command->require_subcommand(1);
   const auto add = [&](const char* name, const char* text, int (*run)(const Context&, const std::string&)) {
     CLI::App* sub = command->add_subcommand(name, text);
-    add_common_options(*sub, context);
+    add_output_options(*sub, context);
     auto folder = std::make_shared<std::string>();
     sub->add_option("folder", *folder, "Folder of shard-*.h5")->required();
     sub->callback(
@@ -142,7 +143,7 @@ void register_dataset(CLI::App& app, Context& context) {
   add("check", "Read every file whole; exit code 1 if one is damaged", check);
   add("split", "Write train, validation and test as datasets of their own", split);
   CLI::App* sub = command->add_subcommand("merge", "Put the parts made on several machines into one folder");
-  add_common_options(*sub, context);
+  add_output_options(*sub, context);
   auto folders = std::make_shared<std::vector<std::string>>();
   sub->add_option("folders", *folders, "Folders of one dataset")->required();
   sub->callback([&context, folders] { context.action = [&context, folders] { return merge(context, *folders); }; });

@@ -55,7 +55,7 @@ std::string to_csv(const std::vector<PhysicsRow>& rows) {
 int evaluate(Context& context, const std::string& file) {
   const Prepared<PhysicsExperimentParams> given(context, file);
   const auto task = std::make_shared<const Task>(given.task);
-  const auto cases = physics_cases(given.params.physics, task);
+  const auto cases = physics_cases(given.params.physics, task, given.config);
   check_simulator(task->simulator, *task, *given.host);
   const auto out = output_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
   const ConfigNode saved = given.saved_config(out);

@@ -2,6 +2,7 @@
 #include <iostream>
 
 #include "evaluation_run.hpp"
+#include "options.hpp"
 #include "page.hpp"
 
 namespace weft::app {
@@ -15,6 +16,7 @@ double metric(const AblationRow& row, const char* name) {
 }
 
 int evaluate(Context& context, const EvaluationOptions& options, const std::vector<double>& widths) {
+  require_distinct("--widths", widths);
   EvaluationRun evaluation(context, options, "evaluate-planning");
   const auto columns = evaluation.run(
       [&](const EvaluationCases& cases) { return planning_evaluation(evaluation.session, widths, cases); },
@@ -49,7 +51,7 @@ void register_evaluate_planning(CLI::App& app, Context& context) {
   auto widths = std::make_shared<std::vector<double>>();
   for (int i = 1; i <= 10; ++i) widths->push_back(i / 10.0);
   add_evaluation_options(*command, *options);
-  command->add_option("--widths", *widths, "w of all properties")->check(CLI::Range(0.0, 1.0));
+  command->add_option("--widths", *widths, "w of all properties")->check(within(0.0, 1.0));
   command->callback([&context, options, widths] {
     context.action = [&context, options, widths] { return evaluate(context, *options, *widths); };
   });

@@ -6,16 +6,14 @@
 #include "page.hpp"
 #include "prepared.hpp"
 #include "weft/prediction_evaluation.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft::app {
 namespace {
 
 int evaluate(Context& context, const std::string& file, const std::string& data) {
   const Prepared<ExperimentParams> given(context, file);
-  if (given.params.predictor.is_null())
-    given.config.fail("predictor is missing; name one, such as {plugin: emd, params: {model: FILE}}");
-  const auto predictor = given.host->create<Predictor>(given.params.predictor);
-  predictor->bind(given.task);
+  const auto predictor = bound_predictor(place(given.config, "predictor"), given.task, *given.host);
   const std::filesystem::path folder = data.empty() ? given.params.dataset : std::filesystem::path(data);
   if (folder.empty())
     throw ConfigError("weft evaluate prediction: --data FOLDER is required (or `dataset:` in the config)");

@@ -2,6 +2,7 @@
 
 #include "context.hpp"
 #include "exports.hpp"
+#include "options.hpp"
 #include "output.hpp"
 #include "weft/report.hpp"
 
@@ -22,7 +23,13 @@ struct ExportOptions {
   StillOptions still;
 };
 
-/// "120", "last", or "all" with --every. @throws ConfigError.
+/// A frame of --png: "last", "all", or a number of at most 8 digits.
+bool is_frame(const std::string& text) {
+  const bool is_number = text.find_first_not_of("0123456789") == std::string::npos;
+  return text == "last" || text == "all" || (is_number && !text.empty() && text.size() < 9);
+}
+
+/// "last", "all" with --every, or a number. @param options whose stills is_frame() passed. @throws ConfigError.
 std::vector<std::size_t> still_frames(const SessionRecord& session, const ExportOptions& options) {
   std::vector<std::size_t> frames;
   for (const auto& text : options.stills) {
@@ -31,8 +38,7 @@ std::vector<std::size_t> still_frames(const SessionRecord& session, const Export
     } else if (text == "all") {
       const auto timeline = every_nth(session, options.every);
       frames.insert(frames.end(), timeline.frames.begin(), timeline.frames.end());
-    } else if (text.find_first_not_of("0123456789") == std::string::npos && text.size() < 9 && !text.empty() &&
-               std::stoul(text) < session.frames.size()) {
+    } else if (std::stoul(text) < session.frames.size()) {
       frames.push_back(std::stoul(text));
     } else {
       throw ConfigError("--png " + text + ": must be last, all, or a frame in [0, " +
@@ -43,9 +49,9 @@ std::vector<std::size_t> still_frames(const SessionRecord& session, const Export
 }
 
 int run_export(Context& context, ExportOptions options) {
+  const fs::path file = session_file(options.session);
   if (options.formats.empty() && options.stills.empty())
     throw ConfigError("export: nothing to do; give --to, --png or both");
-  const fs::path file = session_file(options.session);
   if (std::sscanf(options.size.c_str(), "%dx%d", &options.still.width, &options.still.height) != 2 ||
       options.still.width < 16 || options.still.height < 16 || options.still.width > 8192 ||
       options.still.height > 8192) {
@@ -108,9 +114,12 @@ void register_export(CLI::App& app, Context& context) {
   command
       ->add_option("--png", options->stills, "Stills: frame numbers, last, or all (with --every); separated by commas")
       ->delimiter(',')
+      ->check([](const std::string& text) {
+        return is_frame(text) ? std::string() : text + ", must be last, all, or the number of a frame";
+      })
       ->allow_extra_args(false);
   command->add_option("--every", options->every, "Every n-th frame of 1/60 s; the last ones are always there")
-      ->check(CLI::Range(1, 100000))
+      ->check(within(std::size_t{1}, std::size_t{100000}))
       ->capture_default_str();
   command->add_option("--size", options->size, "Size of the stills in pixels")->capture_default_str();
   command->add_option("--view", options->view, "Where the stills are seen from")
@@ -124,7 +133,7 @@ void register_export(CLI::App& app, Context& context) {
   command
       ->add_option("--range", options->still.range_mm,
                    "End of the colour scale of distances, mm; 0: a round number that holds the session")
-      ->check(CLI::Range(0.0, 1e6));
+      ->check(within(0.0, 1e6));
   command->add_flag("--edges", options->still.edges, "Draw the mesh edges in stills");
   command->add_flag("--no-goal", options->no_goal, "Leave the goal out of stills");
   command->add_flag("--no-paths", options->no_paths, "Leave the path of the hands out of stills");

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "options.hpp"
 #include "weft/garment_generator.hpp"
 
 namespace weft::app {
@@ -23,7 +24,7 @@ struct OptionVisitor {
     }
     for (char& c : option) c = c == '_' ? '-' : c;
     command.add_option("--" + option, value, std::string(text) + " [" + allowed.unit + "]")
-        ->check(CLI::Range(allowed.lower, allowed.upper))
+        ->check(within(allowed.lower, allowed.upper))
         ->capture_default_str();
   }
 };
@@ -66,7 +67,6 @@ void write_yaml(const std::filesystem::path& path, const Request& request, const
 }
 
 int run_garment(const Context& context, Request request) {
-  if (!context.overrides.empty()) throw ConfigError("weft garment reads no config, so --set has nothing to change");
   if (context.out.empty()) throw ConfigError("weft garment: --out FILE.obj is required");
   std::filesystem::path mesh_path = context.out;
   if (mesh_path.extension() != ".obj") throw ConfigError("--out = " + context.out + ", must end in .obj");
@@ -125,7 +125,7 @@ template <class Size>
 void add_kind(CLI::App& garment, Context& context, const std::string& kind, const std::string& text,
               const Size& defaults, Outline (*outline)(const Size&)) {
   CLI::App* command = garment.add_subcommand(kind, text);
-  add_common_options(*command, context);
+  add_output_options(*command, context);
   auto size = std::make_shared<Size>(defaults);
   auto request = std::make_shared<Request>();
   request->kind = kind;
@@ -133,19 +133,19 @@ void add_kind(CLI::App& garment, Context& context, const std::string& kind, cons
   OptionVisitor visitor{*command};
   size->visit(visitor);
   command->add_option("--edge", request->size.edge_m, "Edge length [m]")
-      ->check(CLI::Range(1e-4, 1.0))
+      ->check(within(1e-4, 1.0))
       ->capture_default_str();
   command->add_option("--fine", request->size.fine_edge_m, "Edge length near the fine lines [m]; 0: uniform")
-      ->check(CLI::Range(0.0, 1.0));
+      ->check(within(0.0, 1.0));
   command
       ->add_option("--fine-band", request->size.fine_band_m, "Distance to a fine line up to which edges are fine [m]")
-      ->check(CLI::Range(0.0, 10.0));
+      ->check(within(0.0, 10.0));
   command
       ->add_option("--fine-line", request->fine_lines,
                    "x0,y0,x1,y1 [m]: where folds run (repeatable); default the vertical middle line")
       ->allow_extra_args(false);
   command->add_option("--growth", request->size.growth, "Growth of the edge length away from the band [m per m]")
-      ->check(CLI::Range(0.01, 1.0))
+      ->check(within(0.01, 1.0))
       ->capture_default_str();
   command->add_flag("--yaml", request->yaml, "Write the garment's YAML (named vertices) beside the mesh, too");
   command->callback([&context, command, request, kind] {

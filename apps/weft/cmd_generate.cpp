@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
 #include "weft/experiment.hpp"
@@ -120,7 +121,7 @@ void register_generate(CLI::App& app, Context& context) {
   command->add_option("config", *file, "Experiment or task file, such as configs/experiments/tshirt.yaml")->required();
   command->add_option("--examples", *examples, "Number of examples; a larger one later adds to the folder")
       ->required()
-      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1000000000}));
+      ->check(within(std::int64_t{1}, std::int64_t{1000000000}));
   command->add_option("--shard", *shard, "i/n: make only the i-th of n parts, for many machines");
   command->callback([&context, file, examples, shard] {
     context.action = [&context, file, examples, shard] { return generate(context, *file, *examples, *shard); };

@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
 #include "weft/session.hpp"
@@ -131,7 +132,7 @@ void register_plan(CLI::App& app, Context& context) {
   CLI::Option* session = command->add_option("--session", options->session,
                                              "session.h5, or the folder of a run: plan again from what was seen there");
   command->add_option("--segment", options->segment, "Segment before which it plans; 1: from the start")
-      ->check(CLI::PositiveNumber)
+      ->check(within(1, std::numeric_limits<int>::max()))
       ->needs(session);
 }
 

@@ -4,12 +4,13 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "options.hpp"
 
 namespace weft::app {
 namespace {
 
 int list_plugins(const Context& context) {
-  const auto registry = context.registry();
+  const auto registry = registry_of_overrides(context);
   const auto entries = registry->list();
   if (context.json) {
     auto array = nlohmann::ordered_json::array();
@@ -39,7 +40,7 @@ int list_plugins(const Context& context) {
 }
 
 int describe(const Context& context, const std::string& name, bool markdown) {
-  const auto registry = context.registry();
+  const auto registry = registry_of_overrides(context);
   const auto entry = registry->find(name);
   const auto params = registry->params(entry);
   if (context.json) {
@@ -73,17 +74,24 @@ int describe(const Context& context, const std::string& name, bool markdown) {
   return 0;
 }
 
+void add_search_options(CLI::App& command, Context& context) {
+  command.add_option("--set", context.overrides, "plugin_path=[FOLDER, ...]: folders searched for plugins first")
+      ->allow_extra_args(false)
+      ->type_name("KEY=VALUE");
+  add_output_options(command, context);
+}
+
 }  // namespace
 
 void register_plugins(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("plugins", "List the plugins that load, and those that do not and why");
-  add_common_options(*command, context);
+  add_search_options(*command, context);
   command->callback([&context] { context.action = [&context] { return list_plugins(context); }; });
 }
 
 void register_describe(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("describe", "Show a plugin's parameters with units, ranges and defaults");
-  add_common_options(*command, context);
+  add_search_options(*command, context);
   auto name = std::make_shared<std::string>();
   auto markdown = std::make_shared<bool>(false);
   command->add_option("name", *name, "Plugin name, kind/name, or library file")->required();

@@ -5,6 +5,8 @@
 #include <cstdio>
 #include <iostream>
 
+#include "options.hpp"
+
 namespace weft::app {
 namespace {
 
@@ -55,16 +57,27 @@ void Context::say(const std::string& line) const {
   if (!quiet && !json) std::cout << line << std::endl;
 }
 
+std::shared_ptr<const PluginRegistry> registry_of_overrides(const Context& context) {
+  ConfigNode config;
+  for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
+  config.refuse_unknown_keys({"plugin_path"});
+  return context.registry(config);
+}
+
+void add_output_options(CLI::App& command, Context& context) {
+  command.add_option("--out", context.out, "Output folder or file");
+  command.add_option("--jobs", context.jobs, "Threads; 0: all cores")->check(within(0, 1024));
+  command.add_flag("--quiet", context.quiet, "Print nothing but errors");
+  command.add_flag("--json", context.json, "Print the result as JSON");
+}
+
 void add_common_options(CLI::App& command, Context& context) {
   command.add_option("--set", context.overrides, "Replace a value of the config: key.path=value (repeatable)")
       ->allow_extra_args(false)
       ->type_name("KEY=VALUE");
   command.add_option("--seed", context.seed, "Seed of everything random")
-      ->check(CLI::Range(std::uint64_t{0}, std::uint64_t{9000000000000000000}));
-  command.add_option("--out", context.out, "Output folder or file");
-  command.add_option("--jobs", context.jobs, "Threads; 0: all cores")->check(CLI::Range(0, 1024));
-  command.add_flag("--quiet", context.quiet, "Print nothing but errors");
-  command.add_flag("--json", context.json, "Print the result as JSON");
+      ->check(within(std::uint64_t{0}, std::uint64_t{9000000000000000000}));
+  add_output_options(command, context);
 }
 
 }  // namespace weft::app

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 
+#include "options.hpp"
+#include "weft/refusal.hpp"
+
 namespace weft::app {
 
 void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
@@ -11,12 +14,14 @@ void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
           "--goals", options.goals,
           "Where cases come from, one column of the result each: fresh (made from the seed), test, validation, train")
       ->check(CLI::IsMember({"fresh", "test", "validation", "train"}));
-  command.add_option("--cases", options.cases, "Cases per column")->check(CLI::Range(1, 100000));
+  command.add_option("--cases", options.cases, "Cases per column")
+      ->check(within(std::int64_t{1}, std::int64_t{100000}));
   command.add_option("--data", options.data, "Folder of examples, for cases that are not fresh");
 }
 
 EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name)
     : given(context, options.file), context_(context), options_(options) {
+  require_distinct("--goals", options.goals);
   const auto& params = given.params;
   const auto& task = given.task;
   Host& host = *given.host;
@@ -24,9 +29,7 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
   for (const char* key : {"data", "dataset", "evaluation"}) {
     if (session.has(key)) session = session.without(key);
   }
-  if (params.predictor.is_null()) given.config.fail("predictor is missing; name one, such as {plugin: rollout}");
-  const auto predictor = host.create<Predictor>(params.predictor);
-  predictor->bind(task);
+  const auto predictor = bound_predictor(place(given.config, "predictor"), task, host);
   const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
   if (name == "evaluate-estimation") {
     const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,

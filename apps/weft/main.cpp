@@ -3,7 +3,25 @@
 
 #include "context.hpp"
 #include "exports.hpp"
+#include "weft/refusal.hpp"
 #include "weft_commit.hpp"
+
+namespace {
+
+/// What to say of a word that stands where a command must and is none; empty when there is no such word.
+std::string unknown_command(const CLI::App& app) {
+  const CLI::App* innermost = &app;
+  while (!innermost->get_subcommands().empty()) innermost = innermost->get_subcommands().front();
+  std::vector<std::string> known;
+  for (const CLI::App* command : innermost->get_subcommands([](const CLI::App*) { return true; }))
+    known.push_back(command->get_name());
+  const std::vector<std::string> rest = innermost->remaining();
+  if (known.empty() || rest.empty() || rest.front().starts_with("-")) return "";
+  return "'" + rest.front() + "' is no command of weft" + (innermost == &app ? "" : " " + innermost->get_name()) +
+         ", must be " + weft::one_of(known) + weft::nearest_hint(rest.front(), known);
+}
+
+}  // namespace
 
 /// `weft`: parses the command line, runs one command, turns errors into exit codes (0 done, 1 failed, 2 wrong use).
 int main(int argc, char** argv) {
@@ -31,6 +49,10 @@ int main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
+    if (const std::string problem = unknown_command(app); !problem.empty()) {
+      std::fprintf(stderr, "error: %s\n", problem.c_str());
+      return 2;
+    }
     return app.exit(error) == 0 ? 0 : 2;
   }
   try {

@@ -11,7 +11,9 @@ namespace weft::app {
 namespace fs = std::filesystem;
 
 fs::path session_file(const std::string& given) {
-  return fs::is_directory(given) ? fs::path(given) / "session.h5" : fs::path(given);
+  const fs::path file = fs::is_directory(given) ? fs::path(given) / "session.h5" : fs::path(given);
+  if (!fs::exists(file)) throw ConfigError(file.string() + ": no such file, must be session.h5 or the folder of a run");
+  return file;
 }
 
 fs::path output_folder(const Context& context, const std::string& name) {

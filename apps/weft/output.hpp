@@ -10,7 +10,7 @@ namespace weft::app {
 /// The folder of a result: what --out names, or results/<name>. Made here. @throws ConfigError if it is a file.
 std::filesystem::path output_folder(const Context& context, const std::string& name);
 
-/// session.h5 of what a user names: the file, or the folder of a run.
+/// session.h5 of what a user names: the file, or the folder of a run. @throws ConfigError when there is none.
 std::filesystem::path session_file(const std::string& given);
 
 /// Version, commit, plugins used, threads and machine: enough, with the resolved config, to repeat a run exactly.

@@ -5,13 +5,13 @@
 #include "context.hpp"
 #include "output.hpp"
 #include "weft/params.hpp"
-#include "weft/task.hpp"
+#include "weft/session.hpp"
 
 namespace weft::app {
 
 /// A config as a command needs it: its parameters, the task, and who runs it. What is wrong in the config shows here,
 /// before any work.
-/// @tparam Params with `task`, `seed` and `threads`, such as SessionParams.
+/// @tparam Params SessionParams, or derived from it.
 template <class Params>
 struct Prepared {
   Prepared(Context& context, const std::string& file) : config(context.load(file)) {
@@ -21,6 +21,7 @@ struct Prepared {
     seed = static_cast<std::uint64_t>(params.seed);
     host = context.host(registry, seed);
     task = make_task(params.task, config, *host);
+    check_session(params, config, task);
   }
   std::string provenance() const { return provenance_json(*registry, *host, seed); }
   /// The resolved config for a result's folder, see self_contained().

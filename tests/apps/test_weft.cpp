@@ -58,6 +58,49 @@ TEST(Program, WrongUseExitsWithTwoAndSaysWhy) {
   }
 }
 
+TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
+  const std::string experiments = WEFT_SOURCE_DIR "/configs/experiments/";
+  const std::pair<std::string, std::string> cases[] = {
+      {"pln x", "'pln' is no command of weft, must be one of run, plan, "},
+      {"pln x", "; nearest: plan\n"},
+      {"bogus --help", "'bogus' is no command of weft, must be one of "},
+      {"evaluate fig3 x.yaml", "'fig3' is no command of weft evaluate, must be one of "},
+      {"garment towl --out x.obj", "'towl' is no command of weft garment, must be one of towel, tshirt, "},
+      {"plan x.yaml --session y --segment 0", "--segment: 0, must be at least 1"},
+      {"garment towel --out x.obj --width nan", "--width: nan, must be in ["},
+      {"evaluate planning x.yaml --widths nan", "--widths: nan, must be in [0, 1]"},
+      {"evaluate planning x.yaml --widths 0.1 0.2 0.1", "--widths names 0.1 twice"},
+      {"evaluate estimation '" + kTask + "' --goals fresh fresh", "--goals names fresh twice"},
+      {"export nofile", "nofile: no such file, must be session.h5 or the folder of a run"},
+      {"export nofile --png abc", "--png: abc, must be last, all, or the number of a frame"},
+      {"conformance ./nope.so", "./nope.so: refused: no such file"},
+      {"conformance arc --kind bogus", "'bogus' is no kind of plugin, must be one of simulator, predictor, "},
+      {"describe arc/arc", "'arc' is no kind of plugin, must be one of simulator, predictor, "},
+      {"describe arc --set r_min_m=3", "--set: r_min_m is not a known key"},
+      {"describe arc --seed 3", "--seed"},
+      {"dataset info . --set a=1", "--set"},
+      {"garment towel --out x.obj --set a=1", "--set"},
+      {"run '" + experiments + "tshirt.yaml'",
+       "data is not a known key; the file is an experiment, which `weft generate`"},
+      {"displacement '" + experiments + "horizon.yaml'", "the file is an ablation, which `weft ablate` reads"},
+      {"ablate '" + kTask + "'", "the file is a task, which `weft run` reads"},
+      {"run '" + kTask + "' --set material=" WEFT_SOURCE_DIR "/configs/fabrics/denim.yaml", "the file is a fabric"},
+      {"displacement '" + kTask + "' --set true_material=[0.5,0.5]",
+       "error: --set: true_material = [0.5, 0.5], must be a list of 4 numbers"},
+      {"displacement '" + kTask + "' --set estimation.deviation_scale=[1,2]",
+       "error: --set: estimation.deviation_scale = [1, 2], must be a list of 4 numbers"},
+      {"evaluate estimation '" + kTask + "' --set predictor.params.model=/none.h5",
+       "--set: predictor.params.model = /none.h5: /none.h5: does not exist"},
+      {"evaluate physics '" + experiments + "physics.yaml' --set physics.folds.count=0 --set 'physics.tests=[folds]'",
+       "--set: physics.tests = [folds] leaves no case to run"},
+  };
+  for (const auto& [arguments, expected] : cases) {
+    const Outcome outcome = weft_command(arguments);
+    EXPECT_EQ(outcome.code, 2) << arguments;
+    EXPECT_THAT(outcome.output, HasSubstr(expected)) << arguments;
+  }
+}
+
 TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {
   const Folder folder;
   const auto refused = [&](const std::string& config, const std::string& options = "") {
@@ -175,7 +218,7 @@ TEST(Program, EvaluatePhysicsWritesWhatItPrints) {
   }
   const Outcome unknown = weft_command(command + " --set 'physics.tests=[freefall]'");
   EXPECT_EQ(unknown.code, 2);
-  EXPECT_THAT(unknown.output, HasSubstr("nearest is 'free fall'"));
+  EXPECT_THAT(unknown.output, HasSubstr("physics.tests.0 = freefall, must be one of elastica, "));
 }
 
 TEST(Program, AblateComparesArmsAndResumes) {
@@ -294,6 +337,10 @@ TEST(Program, PluginsListsEveryShippedPlugin) {
   const Outcome text = weft_command("plugins");
   EXPECT_EQ(text.code, 0);
   EXPECT_THAT(text.output, HasSubstr("trajectory  arc"));
+  const Folder folder;
+  folder.write("broken.so", "no library");
+  EXPECT_THAT(weft_command("plugins --set plugin_path=[" + folder.path().string() + "]").output,
+              HasSubstr("broken.so"));
 
   const Outcome json = weft_command("plugins --json 2>/dev/null");
   EXPECT_EQ(json.code, 0);
