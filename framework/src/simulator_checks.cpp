@@ -1,6 +1,7 @@
 #include "weft/simulator_checks.hpp"
 
 #include <cmath>
+#include <cstdio>
 
 namespace weft {
 
@@ -43,6 +44,14 @@ void check_reset(const std::string& plugin, const Garment* garment, const Fabric
     if (pin < 0 || pin >= n)
       throw ConfigError(plugin + ": scene.pins holds " + std::to_string(pin) + ", must be in [0, " +
                         std::to_string(n - 1) + "]");
+}
+
+std::string grasp_strain_warning(double largest_strain, double limit) {
+  if (!(largest_strain > limit)) return {};
+  char text[120];
+  std::snprintf(text, sizeof(text), "a grasp stretched the cloth by %.1f %%, more than grasp_strain_warning = %g %%",
+                100.0 * largest_strain, 100.0 * limit);
+  return text;
 }
 
 }  // namespace weft

@@ -12,4 +12,7 @@ namespace weft {
 WEFT_API void check_reset(const std::string& plugin, const Garment* garment, const Fabric& fabric, const Scene& scene,
                           bool self_contact);
 
+/// Empty, or the warning that a grasp stretched the cloth more than the plugin's parameter grasp_strain_warning.
+WEFT_API std::string grasp_strain_warning(double largest_strain, double limit);
+
 }  // namespace weft

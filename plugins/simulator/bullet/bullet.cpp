@@ -524,10 +524,8 @@ SimulatorDiagnostics Bullet::diagnostics() const {
   d.max_grasp_strain = max_grasp_strain_;
   d.contacts = world_->contact().touching();
   for (const std::string& warning : warnings_) d.warning += (d.warning.empty() ? "bullet: " : "; ") + warning;
-  if (d.max_grasp_strain > params_.grasp_strain_warning)
-    d.warning += (d.warning.empty() ? "" : "; ") + std::string("a grasp stretched the cloth by ") +
-                 std::to_string(100.0 * d.max_grasp_strain) +
-                 " %, more than grasp_strain_warning = " + std::to_string(100.0 * params_.grasp_strain_warning) + " %";
+  if (const auto grasp = grasp_strain_warning(d.max_grasp_strain, params_.grasp_strain_warning); !grasp.empty())
+    d.warning += (d.warning.empty() ? "" : "; ") + grasp;
   return d;
 }
 

@@ -511,9 +511,7 @@ SimulatorDiagnostics Cloth::diagnostics() const {
     d.max_strain = std::max(d.max_strain, elements_->principal_strain(state_.x.data(), f));
   d.max_grasp_strain = state_.max_grasp_strain;
   d.contacts = static_cast<Index>(state_.contact.touching);
-  if (d.max_grasp_strain > params_.grasp_strain_warning)
-    d.warning = "a grasp stretched the cloth by " + std::to_string(100.0 * d.max_grasp_strain) +
-                " %, more than grasp_strain_warning = " + std::to_string(100.0 * params_.grasp_strain_warning) + " %";
+  d.warning = grasp_strain_warning(d.max_grasp_strain, params_.grasp_strain_warning);
   return d;
 }
 
