@@ -159,6 +159,17 @@ Dataset toy_dataset(const Task& task, std::int64_t count) {
   return data;
 }
 
+/// Example i from its start, its material known; no segment wanted yet.
+PredictionCase whole_example(const Dataset& data, std::size_t i) {
+  const auto& e = data.examples[i];
+  PredictionCase one;
+  one.shape = std::make_shared<const Positions>(data.shape(i, 0));
+  one.state = e.states.row(0).transpose();
+  one.controls = e.controls;
+  one.knowledge = MaterialKnowledge::certain(e.q);
+  return one;
+}
+
 Training quick() {
   Training t;
   t.batch = 12;
@@ -490,11 +501,7 @@ TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
   double error = 0.0, still = 0.0;
   for (const auto i : data.select(Split::test)) {
     const auto& e = data.examples[i];
-    PredictionCase one;
-    one.shape = std::make_shared<const Positions>(data.shape(i, 0));
-    one.state = e.states.row(0).transpose();
-    one.controls = e.controls;
-    one.knowledge = MaterialKnowledge::certain(e.q);
+    PredictionCase one = whole_example(data, i);
     one.segments = {e.segments()};
     const Positions truth = data.shape(i, e.segments());
     error += mean_distance_mm(predictor.predict({one}, {})->shapes()[0][0].mean, truth);
@@ -532,11 +539,7 @@ TEST(EmdTraining, CalibrationBringsSigmaToTheErrorsOfUnseenExamples) {
     double count = 0.0;
     for (const auto i : data.select(Split::test)) {
       const auto& e = data.examples[i];
-      PredictionCase start;
-      start.shape = std::make_shared<const Positions>(data.shape(i, 0));
-      start.state = e.states.row(0).transpose();
-      start.controls = e.controls;
-      start.knowledge = MaterialKnowledge::certain(e.q);
+      PredictionCase start = whole_example(data, i);
       for (Index j = 1; j <= e.segments(); ++j) start.segments.push_back(j);
       const auto prediction = predictor.predict({start}, {});
       for (Index j = 1; j <= e.segments(); ++j) {
