@@ -360,7 +360,7 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
 }
 
 // What a file is and who reads it, by a key that its reader does not know. Experiments extend tasks, so they come
-// first.
+// first. A key given on the command line has no line and says nothing about the file.
 std::string other_kind(const ConfigNode& file, const std::vector<std::string>& known) {
   constexpr const char* kKinds[][2] = {
       {"factors", "an ablation, which `weft ablate` reads"},
@@ -374,7 +374,8 @@ std::string other_kind(const ConfigNode& file, const std::vector<std::string>& k
       {"mesh", "a garment: `garment` of a task or a scene"},
   };
   for (const auto& [key, kind] : kKinds) {
-    if (file.has(key) && std::find(known.begin(), known.end(), key) == known.end()) return kind;
+    if (std::find(known.begin(), known.end(), key) != known.end() || !file.has(key)) continue;
+    if (Access::data(file.at(key)).line > 0) return kind;
   }
   return "";
 }

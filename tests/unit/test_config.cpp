@@ -111,6 +111,11 @@ TEST(Config, AFileOfAnotherKindIsRecognised) {
   EXPECT_THAT(message("manipulation: {}\ndata: {}\n", {"task"}), HasSubstr("the file is an experiment"));
   EXPECT_EQ(message("data: {}\nsed: 1\n", {"seed", "data"}), "fold.yaml:2: sed is not a known key; nearest: seed");
   EXPECT_THAT(message("name: a\ndensity_kg_per_m2: 1\n", {"nominal", "properties"}), HasSubstr("the file is a fabric"));
+  // The command line says nothing about the file.
+  EXPECT_EQ(refusal([&] {
+              apply_override(parse("sets: {}"), "physics.step=1").refuse_unknown_keys({"sets", "physical"});
+            }),
+            "--set: physics is not a known key; nearest: physical");
   // Only the top of a file tells.
   EXPECT_EQ(refusal([&] { parse("a: {factors: 1}").at("a").refuse_unknown_keys({"factor"}); }),
             "fold.yaml:1: a.factors is not a known key; nearest: factor");
