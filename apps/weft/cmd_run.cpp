@@ -15,7 +15,6 @@ int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
   const auto folder =
       output_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
-  ConfigNode saved = given.saved_config(folder);
 
   context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
@@ -28,6 +27,7 @@ int run(Context& context, const std::string& file) {
     context.say(line);
   };
   const SessionResult result = run_session(given.params, given.config, *given.host, progress);
+  ConfigNode saved = given.saved_config(folder);
   if (given.params.planning.time_budget_s > 0) {
     std::vector<ConfigNode> counts;
     for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));

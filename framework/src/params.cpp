@@ -9,7 +9,11 @@
 namespace weft {
 namespace {
 
-std::string number_text(double value) { return ConfigNode::number(value).as_string(); }
+// Whole numbers in full: 100000, not 1e+05.
+std::string number_text(double value) {
+  if (value == std::round(value) && std::abs(value) < 1e9) return std::to_string(static_cast<std::int64_t>(value));
+  return ConfigNode::number(value).as_string();
+}
 
 std::string range_text(const Range& range) {
   const bool low = std::isfinite(range.lower);
