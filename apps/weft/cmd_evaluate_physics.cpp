@@ -60,13 +60,10 @@ int evaluate(Context& context, const std::string& file) {
   const auto out = output_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
   const ConfigNode saved = given.saved_config(out);
 
-  const auto variant = [&](const char* name, const ConfigNode& slot) {
-    return SimulatorVariant{name, [&given, slot] { return given.host->create<Simulator>(slot); }};
-  };
-  std::vector<SimulatorVariant> variants{variant("default", task->simulator)};
-  if (!given.params.finer.is_null()) variants.push_back(variant("finer", given.params.finer));
+  std::vector<SimulatorVariant> variants{simulator_variant("default", *given.host, task->simulator)};
+  if (!given.params.finer.is_null()) variants.push_back(simulator_variant("finer", *given.host, given.params.finer));
   std::vector<SimulatorVariant> pair{variants.front()};
-  if (!given.params.other.is_null()) pair.push_back(variant("other", given.params.other));
+  if (!given.params.other.is_null()) pair.push_back(simulator_variant("other", *given.host, given.params.other));
   std::vector<std::vector<PhysicsRow>> results(cases.size());
   std::mutex printing;
   given.host->parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {

@@ -374,13 +374,10 @@ AblationOutcome run_physics_cell(const ConfigNode& config, Host& host) {
   const auto task = std::make_shared<const Task>(make_task(params.task, config, host));
   const auto cases = physics_cases(params.physics, task, config);
   const PhysicsCase& one = cases.at(static_cast<std::size_t>(params.seed));
-  const auto variant = [&](const char* name, const ConfigNode& slot) {
-    return SimulatorVariant{name, [&host, slot] { return host.create<Simulator>(slot); }};
-  };
-  std::vector<SimulatorVariant> variants{variant("arm", task->simulator)};
+  std::vector<SimulatorVariant> variants{simulator_variant("arm", host, task->simulator)};
   const bool against_itself = task->simulator.to_yaml() == params.other.to_yaml();
   if (one.test == "paired folds" && !params.other.is_null() && !against_itself)
-    variants.push_back(variant("other", params.other));
+    variants.push_back(simulator_variant("other", host, params.other));
 
   AblationOutcome outcome;
   const auto worst = [&](const std::string& name, double value) {

@@ -953,6 +953,10 @@ std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_
   return chosen;
 }
 
+SimulatorVariant simulator_variant(std::string name, Host& host, const ConfigNode& slot) {
+  return {std::move(name), [&host, slot] { return host.create<Simulator>(slot); }};
+}
+
 std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case,
                                          const std::vector<SimulatorVariant>& variants) {
   try {

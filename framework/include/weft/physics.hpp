@@ -19,6 +19,8 @@ struct SimulatorVariant {
   std::string name;
   std::function<std::shared_ptr<Simulator>()> make;
 };
+/// The simulator of a slot, such as `simulator` of a task. The host must outlive it.
+WEFT_API SimulatorVariant simulator_variant(std::string name, Host& host, const ConfigNode& slot);
 
 /// One comparison. Lengths in m unless the quantity says otherwise.
 struct PhysicsRow {
