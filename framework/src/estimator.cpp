@@ -380,14 +380,14 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   centre.head<4>() = before.centre;
   if (centre.size() == 8) centre.tail<4>() = before.width;
   // Instance 0 starts from the previous estimate itself, the others from it with noise of their own. One in four starts
-  // anywhere: the first segments may have pointed to the wrong side of a ridge.
+  // anywhere, though not in the paper's variant: the first segments may have pointed to the wrong side of a ridge.
   const double noise = first ? params_.noise : params_.later_noise;
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {
     RandomStream random = RandomStream(request.seed, 0x657374696dull, static_cast<std::uint64_t>(request.round))
                               .child(static_cast<std::uint64_t>(i));
     for (Index k = 0; k < starts.rows(); ++k) {
-      const bool anywhere = i % 4 == 3 && k < 4;
+      const bool anywhere = params_.method != "plain" && i % 4 == 3 && k < 4;
       starts(k, i) = anywhere ? random.uniform() : centre(k) + (i == 0 ? 0.0 : noise * random.normal());
     }
     starts.col(i) = bounds.clamp(starts.col(i));

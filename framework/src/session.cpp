@@ -419,7 +419,7 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
     round.state = state;
     round.knowledge = knowledge;
     round.plan = planner.plan(request);
-    if (refiner && number < params.refinement.plans) {
+    if (refiner && number >= params.refinement.first && number - params.refinement.first < params.refinement.plans) {
       request.warm_start = round.plan.controls;
       Plan refined = refiner->plan(request);
       round.refinement_seconds = refined.seconds;

@@ -263,6 +263,15 @@ TEST_F(Session, RefinementBringsThePlanCloserInTheSimulator) {
   EXPECT_EQ(plain.rounds.front().refinement_seconds, 0.0);
 }
 
+TEST_F(Session, RefinementUsesTheEstimatedMaterial) {
+  const std::vector<std::string> refining = {"refinement={first: 2, plans: 1, iterations: 1}"};
+  const SessionResult result = run(with(kEstimate, refining));
+  ASSERT_GE(result.rounds.size(), 3u);
+  EXPECT_EQ(result.rounds[1].refinement_seconds, 0.0);
+  EXPECT_GT(result.rounds[2].refinement_seconds, 0.0);
+  EXPECT_EQ(result.rounds[2].knowledge.centre, result.estimates[0].knowledge.centre);
+}
+
 TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
   const auto message = [&](const std::vector<std::string>& overrides) {
     return test::message_of<ConfigError>([&] { run(overrides); });

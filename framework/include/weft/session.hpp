@@ -110,6 +110,7 @@ struct GoalParams {
 
 /// A few iterations with a simulator as the predictor, after the network's plan.
 struct RefinementParams {
+  std::int64_t first = 0;
   std::int64_t plans = 0;
   std::int64_t iterations = 3;
   double scale = 0.1;
@@ -117,7 +118,9 @@ struct RefinementParams {
 
   template <class Visitor>
   void visit(Visitor& v) {
-    v("plans", plans, range(0, 1000), "How many plans of a session are refined, from the first on; 0: none.");
+    v("first", first, range(0, 1000),
+      "Plans before those that are refined; with `knowledge: estimate` the first ones know nothing of the material.");
+    v("plans", plans, range(0, 1000), "How many plans of a session are refined; 0: none.");
     v("iterations", iterations, range(0, 10000), "Optimiser iterations of a refinement.");
     v("scale", scale, range(1e-6, 1),
       "Typical change of a control in a refinement, as a part of its change in a first plan.");
