@@ -5,6 +5,8 @@
 
 #include "context.hpp"
 #include "options.hpp"
+#include "weft/experiment.hpp"
+#include "weft/physics.hpp"
 
 namespace weft::app {
 namespace {
@@ -39,10 +41,35 @@ int list_plugins(const Context& context) {
   return 0;
 }
 
+/// Config files whose keys can be described like a plugin's parameters.
+struct FileKind {
+  const char* name;
+  const char* read_by;
+  std::vector<ParamInfo> (*params)();
+};
+constexpr FileKind kFileKinds[] = {
+    {"task", "weft run, weft plan, weft estimate", describe_params<SessionParams>},
+    {"experiment", "weft generate, weft train, weft evaluate", describe_params<ExperimentParams>},
+    {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
+};
+
 int describe(const Context& context, const std::string& name, bool markdown) {
-  const auto registry = registry_of_overrides(context);
-  const auto entry = registry->find(name);
-  const auto params = registry->params(entry);
+  const auto* file =
+      std::find_if(std::begin(kFileKinds), std::end(kFileKinds), [&](auto& k) { return k.name == name; });
+  nlohmann::ordered_json about;
+  std::string title;
+  std::vector<ParamInfo> params;
+  if (file != std::end(kFileKinds)) {
+    about = {{"kind", "file"}, {"name", name}, {"read_by", file->read_by}};
+    title = name + " file, for " + file->read_by;
+    params = file->params();
+  } else {
+    const auto registry = registry_of_overrides(context);
+    const auto entry = registry->find(name);
+    about = {{"kind", entry.kind}, {"name", entry.name}, {"version", entry.version}, {"file", entry.file.string()}};
+    title = entry.kind + "/" + entry.name + " " + entry.version + "  (" + entry.file.string() + ")";
+    params = registry->params(entry);
+  }
   if (context.json) {
     auto array = nlohmann::ordered_json::array();
     for (const auto& p : params) {
@@ -53,21 +80,16 @@ int describe(const Context& context, const std::string& name, bool markdown) {
                        {"default", p.default_value},
                        {"text", p.text}});
     }
-    std::cout << nlohmann::ordered_json{{"kind", entry.kind},
-                                        {"name", entry.name},
-                                        {"version", entry.version},
-                                        {"file", entry.file.string()},
-                                        {"params", array}}
-                     .dump(2)
-              << '\n';
+    about["params"] = array;
+    std::cout << about.dump(2) << '\n';
   } else if (markdown) {
     std::cout << params_markdown(params);
   } else {
-    std::printf("%s/%s %s  (%s)\n", entry.kind.c_str(), entry.name.c_str(), entry.version.c_str(), entry.file.c_str());
+    std::printf("%s\n", title.c_str());
     for (const auto& p : params) {
-      const std::string unit = p.unit.empty() ? "" : " " + p.unit;
-      std::printf("  %-26s %s%s, %s; default %s\n      %s\n", p.name.c_str(), p.type.c_str(), unit.c_str(),
-                  p.range.c_str(), p.default_value.empty() ? "(none)" : p.default_value.c_str(), p.text.c_str());
+      const std::string unit = p.unit.empty() ? "" : " " + p.unit, range = p.range.empty() ? "" : ", " + p.range;
+      std::printf("  %-26s %s%s%s; default %s\n      %s\n", p.name.c_str(), p.type.c_str(), unit.c_str(), range.c_str(),
+                  p.default_value.empty() ? "(none)" : p.default_value.c_str(), p.text.c_str());
     }
     if (params.empty()) std::printf("  no parameters\n");
   }
@@ -90,11 +112,15 @@ void register_plugins(CLI::App& app, Context& context) {
 }
 
 void register_describe(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("describe", "Show a plugin's parameters with units, ranges and defaults");
+  CLI::App* command = app.add_subcommand(
+      "describe", "Show the parameters of a plugin, or the keys of a config file, with units, ranges and defaults");
   add_search_options(*command, context);
   auto name = std::make_shared<std::string>();
   auto markdown = std::make_shared<bool>(false);
-  command->add_option("name", *name, "Plugin name, kind/name, or library file")->required();
+  command
+      ->add_option("name", *name,
+                   "Plugin name, kind/name, or library file; or task, experiment, physics: the keys of such files")
+      ->required();
   command->add_flag("--markdown", *markdown, "As the table of the plugin's README");
   command->callback([&context, name, markdown] {
     context.action = [&context, name, markdown] { return describe(context, *name, *markdown); };
