@@ -621,6 +621,28 @@ Outcome binding_comes_first(const Bench& bench) {
   return refusals.outcome();
 }
 
+Outcome limits_are_sound(const Bench& bench) {
+  const Fold fold(bench);
+  const auto range = fold.predictor->control_range();
+  const auto most = fold.predictor->max_segments();
+  if (!range && !most) return undeclared_without_call();
+  Refusals wrong;
+  if (range) {
+    const auto count = static_cast<Index>(fold.task.trajectory->controls().size());
+    const auto &low = range->lower, &high = range->upper;
+    if (low.size() != count || high.size() != count || !low.allFinite() || !high.allFinite() ||
+        (low.array() > high.array()).any())
+      wrong.miss("a control_range() that is no box of the " + std::to_string(count) + " controls");
+  }
+  if (most) {
+    if (*most < 1) return failed("max_segments() is " + std::to_string(*most));
+    fold.predict({fold.ask(*most, {*most}, 1)});
+    wrong.wants<ShapeError>("one segment more than max_segments()",
+                            [&] { fold.predict({fold.ask(*most + 1, {1}, 1)}); });
+  }
+  return wrong.outcome();
+}
+
 Outcome refuses_bad_shapes(const Bench& bench) {
   const Fold fold(bench);
   Refusals refusals;
@@ -734,6 +756,10 @@ const std::vector<Law>& predictor_laws() {
        "A case beyond all numbers is recorded as failed and changes no other (numbers).", 0,
        a_failed_case_costs_only_itself},
       {"binding_comes_first", "needs_binding: predict() before bind() is refused (accepted).", 0, binding_comes_first},
+      {"limits_are_sound",
+       "control_range() is a box of the controls; max_segments() are taken, and one more is refused with ShapeError "
+       "(violations).",
+       0, limits_are_sound},
       {"refuses_bad_shapes", "Wrong sizes and segments are refused with ShapeError (accepted).", 0, refuses_bad_shapes},
       {"refuses_nan", "Input that is not finite is refused (accepted).", 0, refuses_nan},
   };

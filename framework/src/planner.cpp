@@ -375,8 +375,10 @@ Plan Planner::plan(const PlanRequest& request) const {
 
   Plan plan;
   plan.horizon = first ? params_.horizon : request.warm_start.rows() + params_.leeway;
+  if (const auto most = predictor_->max_segments()) plan.horizon = std::min(plan.horizon, *most);
   Controls start = trajectory.default_controls(plan.horizon);
-  if (!first) start.topRows(request.warm_start.rows()) = request.warm_start;
+  const Index kept = std::min(request.warm_start.rows(), plan.horizon);
+  if (!first) start.topRows(kept) = request.warm_start.topRows(kept);
 
   // Instance 0 starts from the plan itself; the others from the plan with noise of their own.
   const Box bounds = trajectory.decision_bounds(plan.horizon);

@@ -58,12 +58,16 @@ class EstimateChain {
     history_.state = state;
     history_.controls.resize(0, controls);
   }
-  /// One more segment was executed and seen.
+  /// One more segment was executed and seen. Beyond what the predictor takes the last estimate stays.
   void add(ConstVec control, Observation seen) {
     history_.controls.conservativeResize(history_.controls.rows() + 1, Eigen::NoChange);
     history_.controls.bottomRows(1) = control.transpose();
     history_.observations.push_back(std::make_shared<const Observation>(std::move(seen)));
     history_.round = history_.controls.rows() - 1;
+    if (history_.controls.rows() > estimator_->max_segments().value_or(history_.controls.rows())) {
+      estimates_.push_back(estimates_.back());
+      return;
+    }
     const auto before = estimates_.empty() ? std::shared_future<Estimate>() : estimates_.back();
     const auto policy = host_.threads() > 1 ? std::launch::async : std::launch::deferred;
     estimates_.push_back(std::async(policy, [this, before, request = history_]() mutable {
@@ -453,6 +457,11 @@ SessionResult run_session(const SessionParams& params, const ConfigNode& origin,
   result.max_grasp_strain = environment.max_grasp_strain();
   result.frames = environment.frames();
   if (const std::string warning = environment.warning(); !warning.empty()) result.warnings.push_back(warning);
+  const auto segments = static_cast<Index>(result.rounds.size());
+  if (const Index most = estimator ? estimator->max_segments().value_or(segments) : segments; most < segments) {
+    result.warnings.push_back("the predictor takes " + std::to_string(most) +
+                              " segments: later estimates repeat the one after that many");
+  }
   if (!result.released) {
     result.warnings.push_back("the session ended after " + std::to_string(result.rounds.size()) +
                               " segments without release");
@@ -524,7 +533,8 @@ std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& t
     request.observations.push_back(std::make_shared<const Observation>(
         observe_shape(replay.shapes[static_cast<std::size_t>(j)], observation, seed, static_cast<std::uint64_t>(j))));
     request.round = j - 1;
-    estimates.push_back(estimator.estimate(request));
+    const bool too_long = j > estimator.max_segments().value_or(j);
+    estimates.push_back(too_long ? estimates.back() : estimator.estimate(request));
     request.previous = estimates.back().knowledge;
   }
   return estimates;

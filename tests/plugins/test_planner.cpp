@@ -89,11 +89,15 @@ class TargetsPredictor final : public Predictor {
   bool has_gradients = true;
   double sigma_slope = 0.0;
   std::optional<Box> range;
+  std::optional<Index> most;
+  mutable Index longest = 0;  // controls that were asked about
   PredictorCapabilities capabilities() const override { return {.gradients = has_gradients}; }
   std::optional<Box> control_range() const override { return range; }
+  std::optional<Index> max_segments() const override { return most; }
   void bind(const Task& task) override { task_ = task; }
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest&) const override {
+    for (const auto& one : cases) longest = std::max(longest, one.controls.rows());
     return std::make_unique<TargetsPrediction>(task_, cases, sigma_slope);
   }
 
@@ -176,6 +180,29 @@ TEST(Planner, LaterPlansStartFromTheWarmStartWithLengthPlusLeeway) {
   const Plan bare = setup.plan();
   EXPECT_EQ(bare.controls.topRows(6), setup.request.warm_start);
   EXPECT_LE(plan.loss, bare.loss);
+}
+
+TEST(Planner, NoPlanIsLongerThanThePredictorTakes) {
+  Bench setup;
+  setup.params.iterations = setup.params.replan_iterations = 3;
+  setup.predictor->most = 8;
+  EXPECT_EQ(setup.plan().horizon, 8);
+  EXPECT_EQ(setup.predictor->longest, 8);
+  setup.request.round = 1;
+  // Rows of the warm start, horizon: 4 + 5 would be too long, 12 are too many by themselves, 2 + 5 fit.
+  for (const auto& [rows, horizon] : {std::pair<Index, Index>{4, 8}, {12, 8}, {2, 7}}) {
+    setup.request.warm_start = setup.task.trajectory->default_controls(rows);
+    for (Index j = 0; j < rows; ++j) setup.request.warm_start(j, 2) = 0.01 * static_cast<double>(j);
+    setup.params.replan_iterations = 3;
+    setup.params.instances = 4;
+    EXPECT_EQ(setup.plan().horizon, horizon);
+    EXPECT_LE(setup.predictor->longest, 8);
+    // Without a search the plan is the warm start, as far as it goes.
+    setup.params.replan_iterations = 0;
+    setup.params.instances = 1;
+    const Index kept = std::min(rows, horizon);
+    EXPECT_EQ(setup.plan().controls.topRows(kept), setup.request.warm_start.topRows(kept));
+  }
 }
 
 TEST(Planner, TheBestResidualLossWins) {

@@ -12,6 +12,7 @@
 #include "unit/test_support.hpp"
 #include "weft/conformance.hpp"
 #include "weft/planner.hpp"
+#include "weft/session.hpp"
 #include "weft/task.hpp"
 
 namespace weft::torchscript {
@@ -49,6 +50,27 @@ def forward(self, shape, states, controls, knowledge):
     return mean, 0.001 + torch.square(mean)
 )";
 
+/// kForward for a user whose data are in decimetres, with controls and states of mean 0 and deviation 1.
+const std::string kNormalised = R"(
+def forward(self, shape, states, controls, knowledge):
+    controls = controls * self.control_sd + self.control_mean
+    states = states * self.state_sd + self.state_mean
+    mean, sigma = self.plain(0.1 * shape, states, controls, knowledge)
+    return 10.0 * mean, 10.0 * sigma
+)";
+/// control_mean and control_sd, state_mean and state_sd: other numbers for every variable.
+double mean_of(Index variable, bool state) { return 0.1 + (state ? 0.3 : 0.02) * static_cast<double>(variable); }
+double sd_of(Index variable, bool state) { return (state ? 3.0 : 0.2) / (1.0 + static_cast<double>(variable)); }
+
+/// Goes on as it came, at half the speed, blown up by the controls.
+const std::string kPrevious = R"(
+def forward(self, shape, states, controls, knowledge, previous):
+    pace = torch.cumsum(torch.tanh(0.1 * controls[:, :, 0:1]), 1).unsqueeze(2)
+    mean = shape.unsqueeze(1) + 0.5 * pace * torch.sin(shape - previous).unsqueeze(1)
+    wide = 0.001 + 0.01 * (knowledge[:, 4:7] + states[:, 0, :3] * 0.001).unsqueeze(1).unsqueeze(1)
+    return mean, wide * (1.0 + torch.square(mean - previous.unsqueeze(1)))
+)";
+
 void save_module(const std::filesystem::path& file, const std::string& source) {
   torch::jit::Module module("predictor");
   module.register_parameter("gain", at::full({1}, 0.7f), false);
@@ -57,6 +79,21 @@ void save_module(const std::filesystem::path& file, const std::string& source) {
   };
   module.register_parameter("encode", weights(18, 96), false);
   module.register_parameter("decode", weights(96, 300), false);
+  for (const bool state : {false, true}) {
+    std::vector<double> mean, sd;
+    for (Index i = 0; i < 5; ++i) {
+      mean.push_back(mean_of(i, state));
+      sd.push_back(sd_of(i, state));
+    }
+    const std::string name = state ? "state_" : "control_";
+    module.register_parameter(name + "mean", at::tensor(mean, at::kFloat), false);
+    module.register_parameter(name + "sd", at::tensor(sd, at::kFloat), false);
+  }
+  if (source == kNormalised) {
+    std::string plain = kForward;
+    plain.replace(plain.find("forward"), 7, "plain");
+    module.define(plain);
+  }
   module.define(source);
   module.save(file.string());
 }
@@ -84,13 +121,43 @@ class TorchScript : public ::testing::Test {
     for (const Index v : task_.manipulation.grasp_vertices) text += std::to_string(v) + ",";
     folder_.write("m.yaml", text + "]\ndisplacement_m: [0.4, 0.0]\n" + more);
   }
-  std::unique_ptr<TorchScriptPredictor> bound(bool batch = true) const {
+  std::unique_ptr<TorchScriptPredictor> bound(bool batch = true, const std::string& other_fabric = "refuse") const {
     Params params;
     params.module = folder_ / "m.pt";
     params.batch = batch;
+    params.other_fabric = other_fabric;
     auto predictor = std::make_unique<TorchScriptPredictor>(params, *host_);
     predictor->bind(task_);
     return predictor;
+  }
+  void expect_laws() const {
+    const auto host = make_host(registry(), {.threads = 2});
+    for (const std::string batch : {"true", "false"}) {
+      const std::string params = "params: {batch: " + batch + ", module: '" + (folder_ / "m.pt").string() + "'}\n";
+      const auto settings = ConfigNode::parse(params + "task: {" + kTask + "}", "test");
+      for (const auto& law :
+           check_conformance(*host, "predictor", ConfigNode::parse("torchscript", "test"), settings)) {
+        EXPECT_TRUE(law.passed) << law.law << ": " << law.measured << " > " << law.bound << " " << law.detail;
+      }
+    }
+  }
+  /// In mid-air: the shape one segment earlier lay elsewhere.
+  PredictionCase a_case() const {
+    PredictionCase one;
+    one.shape = std::make_shared<const Positions>(task_.garment->positions);
+    one.previous = std::make_shared<const Positions>(0.8 * (task_.garment->positions.array() + 0.05));
+    one.state = task_.trajectory->initial_state(task_.manipulation);
+    one.controls = 0.5 * task_.trajectory->default_controls(3);
+    one.controls(1, 3) = 0.01;
+    one.knowledge.centre << 0.1, 0.2, 0.3, 0.4;
+    one.knowledge.width << 0.5, 0.6, 0.7, 0.8;
+    one.segments = {2, 3};
+    return one;
+  }
+  /// Why the metadata are refused.
+  std::string metadata_refusal(const std::string& more) const {
+    write_metadata(more);
+    return message_of<ConfigError>([&] { bound(); });
   }
   /// Why the module is refused.
   std::string refusal(const std::string& source) const {
@@ -107,14 +174,7 @@ TEST_F(TorchScript, PredictsWhatTheModuleSays) {
   save_module(folder_ / "m.pt", kForward);
   write_metadata();
   const auto predictor = bound();
-  PredictionCase one;
-  one.shape = std::make_shared<const Positions>(task_.garment->positions);
-  one.state = task_.trajectory->initial_state(task_.manipulation);
-  one.controls = 0.5 * task_.trajectory->default_controls(3);
-  one.controls(1, 3) = 0.01;
-  one.knowledge.centre << 0.1, 0.2, 0.3, 0.4;
-  one.knowledge.width << 0.5, 0.6, 0.7, 0.8;
-  one.segments = {2, 3};
+  const PredictionCase one = a_case();
   const auto prediction = predictor->predict({one}, {});
   const Controls states = task_.trajectory->segment_states(task_.manipulation, one.state, one.controls);
   for (std::size_t s = 0; s < 2; ++s) {
@@ -136,15 +196,160 @@ TEST_F(TorchScript, PredictsWhatTheModuleSays) {
 
 TEST_F(TorchScript, ObeysTheLawsOfPredictors) {
   save_module(folder_ / "m.pt", kForward);
-  write_metadata();
-  const auto host = make_host(registry(), {.threads = 2});
-  for (const std::string batch : {"true", "false"}) {
-    const std::string params = "params: {batch: " + batch + ", module: '" + (folder_ / "m.pt").string() + "'}\n";
-    const auto settings = ConfigNode::parse(params + "task: {" + kTask + "}", "test");
-    for (const auto& law : check_conformance(*host, "predictor", ConfigNode::parse("torchscript", "test"), settings)) {
-      EXPECT_TRUE(law.passed) << law.law << ": " << law.measured << " > " << law.bound << " " << law.detail;
+  write_metadata("max_segments: 5\ncontrol_low: [0, 0, -1, -1, -1]\ncontrol_high: [9, 1, 1, 1, 1]\n");
+  expect_laws();
+}
+
+TEST_F(TorchScript, NormalisesAroundTheModule) {
+  std::string numbers = "length_unit_m: 0.1\n";
+  for (const bool state : {false, true}) {
+    for (const bool sd : {false, true}) {
+      numbers += std::string(state ? "state_" : "control_") + (sd ? "sd: [" : "mean: [");
+      for (Index i = 0; i < 5; ++i) numbers += std::to_string(sd ? sd_of(i, state) : mean_of(i, state)) + ",";
+      numbers += "]\n";
     }
   }
+  const auto one = a_case();
+  std::vector<std::vector<ShapeCotangent>> cotangents(1);
+  for (int s = 0; s < 2; ++s)
+    cotangents[0].push_back({one.shape->array().cos().matrix(), (2.0 * one.shape->array() - 1.0).matrix()});
+  save_module(folder_ / "m.pt", kForward);
+  write_metadata();
+  const auto plain = bound()->predict({one}, {.gradients = true});
+  save_module(folder_ / "m.pt", kNormalised);
+  write_metadata(numbers);
+  const auto normalised = bound()->predict({one}, {.gradients = true});
+  for (std::size_t s = 0; s < 2; ++s) {
+    const auto &a = plain->shapes()[0][s], &b = normalised->shapes()[0][s];
+    EXPECT_LT((a.mean - b.mean).cwiseAbs().maxCoeff(), 1e-6);
+    EXPECT_LT((a.sigma - b.sigma).cwiseAbs().maxCoeff(), 1e-7);
+  }
+  const auto wanted = plain->pullback(cotangents)[0], got = normalised->pullback(cotangents)[0];
+  const auto near = [](const auto& a, const auto& b) { return a.norm() > 0.0 && (a - b).norm() < 1e-5 * a.norm(); };
+  EXPECT_TRUE(near(wanted.controls, got.controls));
+  EXPECT_TRUE(near(wanted.state, got.state));
+  EXPECT_TRUE(near(wanted.shape, got.shape));
+  EXPECT_TRUE(near(wanted.centre, got.centre));
+  EXPECT_TRUE(near(wanted.width, got.width));
+  expect_laws();
+}
+
+TEST_F(TorchScript, PassesThePreviousShape) {
+  save_module(folder_ / "m.pt", kPrevious);
+  write_metadata("previous: true\n");
+  const auto moving = a_case();
+  auto at_rest = moving;
+  at_rest.previous.reset();
+  const auto prediction = bound()->predict({moving, at_rest}, {.gradients = true});
+  const auto pace = [&](Index k) { return (0.1 * moving.controls.topRows(k).col(0).array()).tanh().sum(); };
+  const Positions &x = *moving.shape, gap = x - *moving.previous;
+  for (std::size_t s = 0; s < 2; ++s) {
+    const Positions mean = (x.array() + 0.5 * pace(moving.segments[s]) * gap.array().sin()).matrix();
+    EXPECT_LT((prediction->shapes()[0][s].mean - mean).cwiseAbs().maxCoeff(), 1e-6);
+    EXPECT_LT((prediction->shapes()[1][s].mean - x).cwiseAbs().maxCoeff(), 1e-6);  // the start shape twice
+    for (Index a = 0; a < 3; ++a) {
+      const double wide = 0.001 + 0.01 * (moving.knowledge.width[a] + 0.001 * moving.state[a]);
+      const auto sigma = wide * (1.0 + (mean - *moving.previous).col(a).array().square());
+      EXPECT_LT((prediction->shapes()[0][s].sigma.col(a).array() - sigma).cwiseAbs().maxCoeff(), 1e-7);
+    }
+  }
+  // Of the means: d mean / d shape = 1 + 0.5 pace cos(shape - previous), and where there is no previous shape,
+  // shape - shape adds nothing.
+  const Positions w = x.array().cos().matrix();
+  const std::vector<ShapeCotangent> none(2);
+  std::vector<ShapeCotangent> last = none;
+  last[1].mean = w;
+  const auto gradients = prediction->pullback({last, last});
+  const Positions slope = (1.0 + 0.5 * pace(3) * gap.array().cos()).matrix();
+  EXPECT_LT((gradients[0].shape - w.cwiseProduct(slope)).cwiseAbs().maxCoeff(), 1e-6);
+  EXPECT_LT((gradients[1].shape - w).cwiseAbs().maxCoeff(), 1e-6);
+  expect_laws();
+}
+
+TEST_F(TorchScript, PlansStayInsideTheTrainingRange) {
+  save_module(folder_ / "m.pt", kForward);
+  write_metadata();
+  EXPECT_FALSE(bound()->control_range());
+  write_metadata("control_low: [1.5, -0.001, -0.1, -0.0001, 0]\ncontrol_high: [2.5, 0.001, 0.1, 0.0002, 0]\n");
+  const std::shared_ptr<const Predictor> predictor = bound();
+  const auto range = predictor->control_range();
+  ASSERT_TRUE(range);
+  EXPECT_EQ(range->lower, (Vector(5) << 1.5, -0.001, -0.1, -0.0001, 0).finished());
+  EXPECT_EQ(range->upper, (Vector(5) << 2.5, 0.001, 0.1, 0.0002, 0).finished());
+  PlanRequest request;
+  request.shape = request.goal = std::make_shared<const Positions>(task_.garment->positions);
+  request.state = task_.trajectory->initial_state(task_.manipulation);
+  PlannerParams params;
+  params.instances = 4;
+  params.horizon = 4;
+  params.iterations = 3;
+  const Plan plan = Planner(task_, predictor, std::make_shared<const test::Descent>(), params, *host_).plan(request);
+  for (Index j = 0; j < plan.controls.rows(); ++j) {
+    const Vector row = plan.controls.row(j).transpose();
+    EXPECT_EQ(row, range->clamp(row));
+  }
+  EXPECT_THROW(TorchScriptPredictor(Params{}, *host_).control_range(), Error);
+  EXPECT_THROW(TorchScriptPredictor(Params{}, *host_).max_segments(), Error);
+}
+
+TEST_F(TorchScript, RefusesRangesAndNormalisationsThatDoNotFit) {
+  save_module(folder_ / "m.pt", kForward);
+  EXPECT_THAT(metadata_refusal("control_low: [0, 0, 0, 0, 0]\n"),
+              HasSubstr("control_high = [], the task has 5 variables: " + task_.trajectory->controls()[0].name + " "));
+  EXPECT_THAT(metadata_refusal("control_low: [0, 0]\ncontrol_high: [1, 1]\n"), HasSubstr("control_low = [0, 0], "));
+  EXPECT_THAT(metadata_refusal("control_low: [0, 0, 0, 2, 0]\ncontrol_high: [1, 1, 1, 1, 1]\n"),
+              HasSubstr("control_low of " + task_.trajectory->controls()[3].name + " = 2, above control_high = 1"));
+  const Variable first = task_.trajectory->controls()[0];
+  EXPECT_THAT(metadata_refusal("control_low: [100, 0, 0, 0, 0]\ncontrol_high: [200, 1, 1, 1, 1]\n"),
+              HasSubstr("range of " + first.name + " = [100, 200], the task has [" +
+                        ConfigNode::number(first.lower).as_string() + ", " +
+                        ConfigNode::number(first.upper).as_string() + "]"));
+  EXPECT_THAT(metadata_refusal("control_low: [.nan, 0, 0, 0, 0]\n"), HasSubstr("control_low"));
+  EXPECT_THAT(metadata_refusal("control_mean: [0, 0, 0, 0, 0]\n"), HasSubstr("control_sd = []"));
+  EXPECT_THAT(metadata_refusal("state_mean: [0]\nstate_sd: [1]\n"), HasSubstr("state_mean = [0], "));
+  EXPECT_THAT(metadata_refusal("state_mean: [0, 0, 0, 0, 0]\nstate_sd: [1, 1, 1, 1, 0]\n"), HasSubstr("state_sd"));
+  EXPECT_THAT(metadata_refusal("length_unit_m: 0\n"), HasSubstr("length_unit_m"));
+}
+
+TEST_F(TorchScript, ComparesTheMaterialSpace) {
+  save_module(folder_ / "m.pt", kForward);
+  std::vector<std::string> log;
+  host_ = make_host(registry(), {.threads = 1, .log = [&](LogLevel, const std::string& text) { log.push_back(text); }});
+  const std::string basic = ConfigNode::load(WEFT_SOURCE_DIR "/configs/fabrics/basic.yaml").to_json();
+  write_metadata("material: " + basic + "\n");
+  bound();
+  EXPECT_THAT(log, ::testing::IsEmpty());
+  auto other = ConfigNode::parse(basic, "test").with("properties.bend.high", ConfigNode::number(11.0));
+  EXPECT_THAT(metadata_refusal("material: " + other.to_json() + "\n"), HasSubstr("another space than the task's"));
+  bound(true, "warn");
+  EXPECT_THAT(log, ::testing::ElementsAre(HasSubstr("another space than the task's")));
+  log.clear();
+  write_metadata();
+  bound();
+  EXPECT_THAT(log, ::testing::ElementsAre(HasSubstr("has no material")));
+}
+
+/// Planning asks for 25 segments at first and for length + 5 later, and estimation for all that were executed.
+TEST_F(TorchScript, ASessionKeepsToWhatTheModuleTakes) {
+  save_module(folder_ / "m.pt", kForward);
+  write_metadata("max_segments: 3\n");
+  const auto config = ConfigNode::parse("{" + kTask + ", predictor: {plugin: torchscript, params: {module: '" +
+                                            (folder_ / "m.pt").string() +
+                                            "'}}, planning: {instances: 2, iterations: 2, replan_iterations: 1}, "
+                                            "estimation: {instances: 2, iterations: 2, later_iterations: 1}, "
+                                            "knowledge: estimate, true_material: [0.5, 0.5, 0.5, 0.5], "
+                                            "goal: {controls: [1.8, 0, 0, 0, 0]}, max_segments: 5}",
+                                        "test");
+  SessionParams params;
+  read_params(config, params);
+  const SessionResult result = run_session(params, config, *host_);
+  ASSERT_EQ(result.rounds.size(), 5u);
+  for (const auto& round : result.rounds) EXPECT_EQ(round.plan.horizon, 3);
+  ASSERT_EQ(result.estimates.size(), 5u);
+  EXPECT_NE(result.estimates[1].knowledge.centre, result.estimates[2].knowledge.centre);
+  for (const std::size_t late : {3u, 4u})
+    EXPECT_EQ(result.estimates[late].knowledge.centre, result.estimates[2].knowledge.centre);
+  EXPECT_THAT(result.warnings, ::testing::Contains(HasSubstr("the predictor takes 3 segments")));
 }
 
 TEST_F(TorchScript, ANetworksCaseDoesNotSeeTheOtherRows) {

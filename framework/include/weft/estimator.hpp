@@ -110,6 +110,8 @@ class WEFT_API Estimator {
   /// finite loss.
   Estimate estimate(const EstimateRequest& request) const;
   const EstimatorParams& params() const { return params_; }
+  /// Longest history that the predictor takes; estimate() of more throws its ShapeError. nullopt: no limit.
+  std::optional<Index> max_segments() const { return predictor_->max_segments(); }
 
  private:
   Task task_;

@@ -33,7 +33,8 @@ struct PlannerParams {
     v("instances", instances, range(1, 4096), "Searches that run side by side; the best residual loss wins.");
     v("iterations", iterations, range(0, 100000), "Optimiser iterations of the first plan.");
     v("replan_iterations", replan_iterations, range(0, 100000), "Optimiser iterations of every later plan.");
-    v("horizon", horizon, range(1, 200, "segments"), "b of the first plan.");
+    v("horizon", horizon, range(1, 200, "segments"),
+      "b of the first plan. No plan's b exceeds what the predictor takes (Predictor::max_segments).");
     v("leeway", leeway, range(0, 200, "segments"), "Later plans: b = length of the preceding plan + leeway.");
     v("noise", noise, range(0, 100), "Gaussian noise on the first plan's starts, in units of each control's scale.");
     v("replan_noise", replan_noise, range(0, 100), "The same for later plans.");
@@ -73,7 +74,7 @@ struct PlanRequest {
 
 struct Plan {
   Controls controls;                        ///< [u, C], truncated after the release segment u
-  Index horizon = 0;                        ///< b it was searched with
+  Index horizon = 0;                        ///< b it was searched with, at most the predictor's max_segments()
   bool releases = false;                    ///< false: even after b segments progress is below 1
   double loss = 0.0;                        ///< residual planning loss of the winner, mm^2
   double predicted_error_mm = 0.0;          ///< mean vertex distance of the predicted final shape to the goal

@@ -101,7 +101,7 @@ struct PredictorCapabilities {
 class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
-  static constexpr int kVersion = 2;  // bump on any change to this class or the types above
+  static constexpr int kVersion = 3;  // bump on any change to this class or the types above
   virtual ~Predictor() = default;
 
   virtual PredictorCapabilities capabilities() const = 0;
@@ -117,6 +117,9 @@ class WEFT_API Predictor {
   virtual std::optional<Box> control_range() const { return std::nullopt; }
   /// This predictor's learning side (trainable.hpp), or null when it does not learn.
   virtual TrainablePredictor* trainable() { return nullptr; }
+  /// Most segments, >= 1, that the controls of a case may have; predict() refuses more with ShapeError. Plans and the
+  /// histories that estimates are made from are no longer than that. After bind(). nullopt: no limit.
+  virtual std::optional<Index> max_segments() const { return std::nullopt; }
 };
 
 }  // namespace weft

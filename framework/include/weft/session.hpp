@@ -206,7 +206,8 @@ struct SessionResult {
   Positions start, goal, final_shape, default_shape;  ///< [V, 3] m
   Controls goal_controls;                             ///< [k, C] of a goal that was simulated, else 0 rows
   MaterialProperties true_material = MaterialProperties::Zero();
-  /// [rounds]: from everything up to the end of that round's segment. Empty unless knowledge is `estimate`.
+  /// [rounds]: from everything up to the end of that round's segment; beyond the predictor's max_segments() the last
+  /// one stays. Empty unless knowledge is `estimate`.
   std::vector<Estimate> estimates;
   double error_mm = 0.0, default_error_mm = 0.0;
   bool released = false;
@@ -246,7 +247,8 @@ struct Replay {
   Vector state;                   ///< [S] at the start
   Controls controls;              ///< [k, C]
 };
-/// Estimates after every segment, [k], as a session with `knowledge: estimate` makes them (section 5).
+/// Estimates after every segment, [k], as a session with `knowledge: estimate` makes them (section 5). Beyond the
+/// predictor's max_segments() the last one stays.
 /// @param seed of the observations' noise and of the searches. @throws ShapeError; as Estimator::estimate().
 WEFT_API std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& task,
                                                 const ObservationParams& observation, const Replay& replay,

@@ -13,9 +13,16 @@ namespace weft::torchscript {
 
 using at::Tensor;
 
+/// (x - mean) / sd along the last axis; undefined: x as it is.
+struct Normalisation {
+  Tensor mean, sd;
+  Tensor operator()(const Tensor& x) const { return sd.defined() ? (x - mean) / sd : x; }
+};
+
 struct TorchScriptPredictor::Bound {
   Task task;
   Metadata metadata;
+  Normalisation control, state;
   mutable torch::jit::Module module;
   std::string name;
 };
@@ -37,9 +44,14 @@ struct Output {
   Tensor mean, sigma;
 };
 
+/// forward() with the metadata's normalisation around it. As part of the graph it is differentiated along with the
+/// rest.
 /// @throws Error naming what the module gave and what it has to give.
 Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>& inputs) {
-  std::vector<c10::IValue> values(inputs.begin(), inputs.end());
+  const double unit = bound.metadata.length_unit_m;
+  const auto length = [&](const Tensor& x) { return unit == 1.0 ? x : x / unit; };
+  std::vector<c10::IValue> values = {length(inputs[0]), bound.state(inputs[1]), bound.control(inputs[2]), inputs[3]};
+  if (bound.metadata.previous) values.emplace_back(length(inputs[4]));
   c10::IValue result;
   try {
     result = bound.module.forward(values);
@@ -61,6 +73,7 @@ Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>&
                   list(t.sizes().vec()) + must);
     }
   }
+  if (unit != 1.0) out = {out.mean * unit, out.sigma * unit};
   return out;
 }
 
@@ -306,9 +319,10 @@ void TorchScriptPredictor::bind(const Task& task) {
     for (const auto& v : variables) all.push_back(v.name);
     return all;
   };
-  const auto numbers = [](const std::vector<double>& v) {
+  const auto number = [](double x) { return ConfigNode::number(x).as_string(); };
+  const auto numbers = [&](const std::vector<double>& v) {
     std::string text;
-    for (const double x : v) text += (text.empty() ? "" : ", ") + std::to_string(x);
+    for (const double x : v) text += (text.empty() ? "" : ", ") + number(x);
     return "[" + text + "]";
   };
   const auto& manipulation = task.manipulation;
@@ -326,8 +340,47 @@ void TorchScriptPredictor::bind(const Task& task) {
     refuse("displacement_m", numbers(m.displacement_m), numbers(d));
   }
   if (std::abs(m.drop_height_m - manipulation.drop_height) > 1e-6) {
-    refuse("drop_height_m", std::to_string(m.drop_height_m), std::to_string(manipulation.drop_height));
+    refuse("drop_height_m", number(m.drop_height_m), number(manipulation.drop_height));
   }
+  const auto lists = [&](const std::vector<double>& a, const std::string& name_a, const std::vector<double>& b,
+                         const std::string& name_b, const std::vector<std::string>& variables) {
+    for (const auto& [name, values] : {std::pair(name_a, a), std::pair(name_b, b)}) {
+      if (values.size() != variables.size() && !(a.empty() && b.empty()))
+        refuse(name, numbers(values), std::to_string(variables.size()) + " variables: " + join(variables));
+    }
+  };
+  lists(m.control_low, "control_low", m.control_high, "control_high", m.controls);
+  lists(m.control_mean, "control_mean", m.control_sd, "control_sd", m.controls);
+  lists(m.state_mean, "state_mean", m.state_sd, "state_sd", m.states);
+  const auto variables = task.trajectory->controls();
+  for (std::size_t c = 0; c < m.control_low.size(); ++c) {
+    const auto& v = variables[c];
+    const double low = m.control_low[c], high = m.control_high[c];
+    if (low > high) {
+      throw ConfigError(metadata_file.string() + ": control_low of " + v.name + " = " + number(low) +
+                        ", above control_high = " + number(high));
+    }
+    if (low > v.upper || high < v.lower)
+      refuse("range of " + v.name, numbers({low, high}), numbers({v.lower, v.upper}) + ", apart from it");
+  }
+  if (m.material.is_null()) {
+    host_.log(LogLevel::warning, metadata_file.string() +
+                                     ": has no material, so that nothing says for which fabrics "
+                                     "the module's properties in [0, 1] stand");
+  } else if (const auto trained = write_material_space(read_material_space(m.material)).to_yaml();
+             trained != write_material_space(task.material).to_yaml()) {
+    const std::string text = metadata_file.string() +
+                             ": material is another space than the task's: the module's properties in [0, 1] stand for "
+                             "other fabrics";
+    if (params_.other_fabric != "warn")
+      throw ConfigError(text + " (predictor.params.other_fabric: warn uses it all the same)");
+    host_.log(LogLevel::warning, text);
+  }
+  const auto normalisation = [](const std::vector<double>& mean, const std::vector<double>& sd) {
+    return sd.empty() ? Normalisation{} : Normalisation{at::tensor(mean, at::kFloat), at::tensor(sd, at::kFloat)};
+  };
+  bound->control = normalisation(m.control_mean, m.control_sd);
+  bound->state = normalisation(m.state_mean, m.state_sd);
 
   at::set_num_threads(params_.threads > 0 ? static_cast<int>(params_.threads) : std::max(1, host_.threads()));
   try {
@@ -352,7 +405,8 @@ void TorchScriptPredictor::bind(const Task& task) {
   };
   const auto v = task.garment->vertex_count(), s = static_cast<Index>(m.states.size()),
              c = static_cast<Index>(m.controls.size());
-  std::vector<Tensor> inputs = {zeros({2, v, 3}), zeros({2, 3, s}), zeros({2, 2, c}), zeros({2, 8})};
+  const Index k = std::min<Index>(2, m.max_segments);
+  std::vector<Tensor> inputs = {zeros({2, v, 3}), zeros({2, k + 1, s}), zeros({2, k, c}), zeros({2, 8})};
   if (m.previous) inputs.push_back(zeros({2, v, 3}));
   try {
     const at::NoGradGuard no_graph;
@@ -363,10 +417,26 @@ void TorchScriptPredictor::bind(const Task& task) {
   bound_ = std::move(bound);
 }
 
+const TorchScriptPredictor::Bound& TorchScriptPredictor::require_bound(const char* call) const {
+  if (!bound_) throw Error("torchscript: " + std::string(call) + "() before bind()");
+  return *bound_;
+}
+
+std::optional<Box> TorchScriptPredictor::control_range() const {
+  const auto& m = require_bound("control_range").metadata;
+  if (m.control_low.empty()) return std::nullopt;
+  const auto size = static_cast<Index>(m.control_low.size());
+  return Box{Eigen::Map<const Vector>(m.control_low.data(), size),
+             Eigen::Map<const Vector>(m.control_high.data(), size)};
+}
+
+std::optional<Index> TorchScriptPredictor::max_segments() const {
+  return require_bound("max_segments").metadata.max_segments;
+}
+
 std::unique_ptr<Prediction> TorchScriptPredictor::predict(const std::vector<PredictionCase>& cases,
                                                           const PredictionRequest& request) const {
-  if (!bound_) throw Error("torchscript: predict() before bind()");
-  const auto& m = bound_->metadata;
+  const auto& m = require_bound("predict").metadata;
   for (std::size_t i = 0; i < cases.size(); ++i) {
     const auto& one = cases[i];
     const std::string where = "torchscript: case " + std::to_string(i) + ": ";

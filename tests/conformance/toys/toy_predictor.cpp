@@ -186,8 +186,19 @@ class ToyPredictor final : public Predictor {
       for (Index i = 0; i < s.size(); ++i) s[i] = variables[static_cast<std::size_t>(i)].scale;
       return s;
     };
-    f_.control_scale = scales(task.trajectory->controls());
+    const auto controls = task.trajectory->controls();
+    f_.control_scale = scales(controls);
+    range_ = {Vector(f_.control_scale.size()), Vector(f_.control_scale.size())};
+    for (Index i = 0; i < f_.control_scale.size(); ++i) {
+      range_.lower[i] = controls[static_cast<std::size_t>(i)].lower;
+      range_.upper[i] = controls[static_cast<std::size_t>(i)].upper;
+    }
     f_.state_scale = scales(task.trajectory->state());
+  }
+
+  std::optional<Box> control_range() const override { return p_.declare ? std::optional(range_) : std::nullopt; }
+  std::optional<Index> max_segments() const override {
+    return p_.declare ? std::optional(kMostSegments) : std::nullopt;
   }
 
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
@@ -227,6 +238,7 @@ class ToyPredictor final : public Predictor {
   }
 
  private:
+  static constexpr Index kMostSegments = 5;
   bool is(const char* mutation) const { return p_.mutation == mutation; }
   void check(const PredictionCase& c) const {
     if (!c.shape) throw ShapeError("toy: no shape");
@@ -234,6 +246,8 @@ class ToyPredictor final : public Predictor {
     if (c.previous && !is("refuses_bad_shapes")) require_shape("toy: previous", c.previous->rows(), vertices_);
     require_shape("toy: state", c.state.size(), f_.state_scale.size());
     require_shape("toy: controls", c.controls.cols(), f_.control_scale.size());
+    if (max_segments() && c.controls.rows() > kMostSegments && !is("limits_are_sound"))
+      throw ShapeError("toy: too many segments");
     for (std::size_t s = 0; s < c.segments.size(); ++s) {
       if (c.segments[s] < 1 || c.segments[s] > c.controls.rows() || (s > 0 && c.segments[s] <= c.segments[s - 1]))
         throw ShapeError("toy: segments must ascend within the controls");
@@ -245,6 +259,7 @@ class ToyPredictor final : public Predictor {
 
   Params p_;
   Formula f_;
+  Box range_;
   Index vertices_ = 0;
   mutable std::mutex mutex_;
   std::shared_ptr<Shapes> last_ = std::make_shared<Shapes>();
