@@ -20,6 +20,7 @@ int evaluate(Context& context, const std::string& file, const std::string& data)
   context.say("reading " + folder.string());
   const Dataset dataset = Dataset::load(folder);
   dataset.require_task(given.task);
+  warn_unless_held_out(*predictor, dataset, given.params.evaluation.split, *given.host);
   const auto out = output_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
   ConfigNode saved = given.saved_config(out);
 

@@ -29,10 +29,10 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
   for (const char* key : {"data", "dataset", "evaluation"}) {
     if (session.has(key)) session = session.without(key);
   }
-  const auto predictor = bound_predictor(place(given.config, "predictor"), task, host);
-  const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+  predictor_ = bound_predictor(place(given.config, "predictor"), task, host);
+  const Planner planner(task, predictor_, host.create<Optimiser>(params.optimiser), params.planning, host);
   if (name == "evaluate-estimation") {
-    const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
+    const Estimator estimator(task, predictor_, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
                               host);
   }
   check_simulator(task.simulator, task, host);
@@ -57,6 +57,7 @@ std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, cons
   for (const auto& source : options_.goals) {
     EvaluationColumn column;
     column.cases = choose_cases(source, options_.cases, given.seed, source == "fresh" ? nullptr : dataset);
+    if (source != "fresh") warn_unless_held_out(*predictor_, *dataset, source, *given.host);
     column.plan = make_plan(column.cases);
     columns.push_back(std::move(column));
   }

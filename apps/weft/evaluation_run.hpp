@@ -39,6 +39,7 @@ class EvaluationRun {
  private:
   Context& context_;
   EvaluationOptions options_;
+  std::shared_ptr<Predictor> predictor_;
 };
 
 }  // namespace weft::app

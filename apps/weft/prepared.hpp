@@ -6,6 +6,7 @@
 #include "output.hpp"
 #include "weft/params.hpp"
 #include "weft/session.hpp"
+#include "weft/trainable.hpp"
 
 namespace weft::app {
 
@@ -36,5 +37,13 @@ struct Prepared {
   std::unique_ptr<Host> host;
   Task task;
 };
+
+/// Warns when examples of a split are not to this predictor what the split's name says.
+inline void warn_unless_held_out(Predictor& predictor, const Dataset& dataset, const std::string& split, Host& host) {
+  const TrainablePredictor* learner = predictor.trainable();
+  if (learner == nullptr) return;
+  const std::string warning = dataset.held_out_warning(split_named(split), learner->trained_on());
+  if (!warning.empty()) host.log(LogLevel::warning, warning);
+}
 
 }  // namespace weft::app

@@ -95,7 +95,13 @@ std::string example_fingerprint(const Example& e) {
 
 }  // namespace
 
-Split DatasetHeader::split(std::int64_t index) const {
+Split split_named(const std::string& name) {
+  const auto found = std::find(kSplitNames.begin(), kSplitNames.end(), name);
+  if (found == kSplitNames.end()) throw ConfigError("'" + name + "' is none of train, validation, test");
+  return static_cast<Split>(found - kSplitNames.begin());
+}
+
+Split DatasetOrigin::split(std::int64_t index) const {
   const double u = RandomStream(kSplitKey, static_cast<std::uint64_t>(index)).uniform();
   if (u < test_fraction) return Split::test;
   return u < test_fraction + validation_fraction ? Split::validation : Split::train;
@@ -318,6 +324,8 @@ void Dataset::append(Dataset other) {
   // An example's split goes by its number alone.
   if (h.validation_fraction != header.validation_fraction || h.test_fraction != header.test_fraction)
     fail("data.validation_fraction or data.test_fraction differ");
+  appended = origins();
+  for (auto& origin : other.origins()) appended.push_back(std::move(origin));
   Fingerprint f;
   f.add(header.identity);
   f.add(h.identity);
@@ -331,6 +339,31 @@ std::vector<std::size_t> Dataset::select(Split split) const {
     if (!examples[i].failed() && header.split(examples[i].index) == split) chosen.push_back(i);
   }
   return chosen;
+}
+
+std::string Dataset::held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on) const {
+  if (trained_on.empty()) return {};
+  const auto chosen = select(split);
+  const std::string name = kSplitNames[static_cast<std::size_t>(split)];
+  if (split == Split::train) {
+    const bool is_known = std::any_of(trained_on.begin(), trained_on.end(),
+                                      [&](const auto& origin) { return origin.identity == header.identity; });
+    return is_known ? ""
+                    : "the model was not trained on dataset " + header.identity + ": its " + name +
+                          " split holds no training examples of this model";
+  }
+  // Equal numbers of one seed are, whatever else the configs say, much the same example.
+  const auto was_used = [&](std::size_t i) {
+    return std::any_of(trained_on.begin(), trained_on.end(), [&](const auto& origin) {
+      return origin.seed == header.seed && origin.split(examples[i].index) < split;  // train < validation < test
+    });
+  };
+  const auto count = std::count_if(chosen.begin(), chosen.end(), was_used);
+  if (count == 0) return {};
+  return std::to_string(count) + " of the " + std::to_string(chosen.size()) + " examples of the " + name +
+         " split may not be held out: they were in the " + (split == Split::test ? "train or validation" : "train") +
+         " split of a dataset of the same seed that the model was trained on, whose data.validation_fraction or "
+         "data.test_fraction differ";
 }
 
 Positions Dataset::shape(std::size_t example, Index segment) const {

@@ -162,11 +162,7 @@ std::map<std::string, PredictionFigures> measure_baselines(const Dataset& datase
 
 PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
                                          const PredictionEvaluationParams& params, std::uint64_t seed, Host& host) {
-  Split split = Split::test;
-  for (std::size_t s = 0; s < kSplitNames.size(); ++s) {
-    if (params.split == kSplitNames[s]) split = static_cast<Split>(s);
-  }
-  std::vector<std::size_t> chosen = dataset.select(split);
+  std::vector<std::size_t> chosen = dataset.select(split_named(params.split));
   if (params.max_examples > 0 && static_cast<std::size_t>(params.max_examples) < chosen.size())
     chosen.resize(static_cast<std::size_t>(params.max_examples));
   if (chosen.empty())

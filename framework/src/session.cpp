@@ -353,7 +353,7 @@ void check_session(const SessionParams& params, const ConfigNode& origin, const 
   vertex_weights(params.planning, task.garment->vertex_count(), origin);
 }
 
-std::shared_ptr<const Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host) {
+std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host) {
   if (slot.is_null()) must_be(slot, "a predictor plugin, such as {plugin: rollout}");
   const auto predictor = host.create<Predictor>(slot);
   ConfigNode blamed = slot;

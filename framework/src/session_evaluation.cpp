@@ -258,12 +258,10 @@ EvaluationCases choose_cases(const std::string& source, std::int64_t count, std:
     cases.seeds.push_back(RandomStream(seed, kCaseStream, static_cast<std::uint64_t>(i)).bits64() >> 2);
   }
   if (source == "fresh") return cases;
-  const auto found = std::find(kSplitNames.begin(), kSplitNames.end(), source);
-  if (found == kSplitNames.end())
-    throw ConfigError("cases: '" + source + "' is none of fresh, train, validation, test");
+  const Split split = split_named(source);
   if (!dataset) throw ConfigError("cases from the " + source + " split need a dataset: --data FOLDER");
   std::vector<std::size_t> released;
-  for (const auto i : dataset->select(static_cast<Split>(found - kSplitNames.begin()))) {
+  for (const auto i : dataset->select(split)) {
     if (dataset->examples[i].released) released.push_back(i);
   }
   if (static_cast<std::int64_t>(released.size()) < count) {

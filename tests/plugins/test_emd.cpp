@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 #include <fstream>
+#include <string_view>
 #include <thread>
 
 #include "predictor/emd/emd.hpp"
@@ -407,6 +408,7 @@ TEST(EmdModel, ComesBackAsItWasAndDamageIsRefused) {
   const Folder folder;
   Model model = untrained_model(small(), patch_task(), 1);
   model.training = "{\"a\":1}";
+  model.datasets = {{"first", 7, 0.04, 0.08}, {"second", ~0ull, 0.125, 0.25}};
   for (const bool half : {false, true}) {
     save_model(folder / "m.h5", model, half);
     const Model back = load_model(folder / "m.h5");
@@ -420,6 +422,10 @@ TEST(EmdModel, ComesBackAsItWasAndDamageIsRefused) {
     EXPECT_EQ(back.control_names, model.control_names);
     EXPECT_EQ(back.material, model.material);
     EXPECT_EQ(back.training, model.training);
+    ASSERT_EQ(back.datasets.size(), 2u);
+    EXPECT_EQ(back.datasets[1].identity, "second");
+    EXPECT_EQ(back.datasets[1].seed, ~0ull);
+    EXPECT_EQ(back.datasets[1].test_fraction, 0.25);
     save_model(folder / "again.h5", back, half);
     EXPECT_EQ(bytes_of(folder / "m.h5"), bytes_of(folder / "again.h5"));
   }
@@ -447,6 +453,83 @@ TEST(EmdModel, ComesBackAsItWasAndDamageIsRefused) {
   EXPECT_GT(refused, 60);
 }
 
+/// A model file with one bit changed, in the first byte of a value that it holds.
+template <class T>
+std::string with_changed_bit(std::string file, const T& value) {
+  const std::string_view wanted(reinterpret_cast<const char*>(value.data()), value.size() * sizeof(value[0]));
+  const auto at = file.find(wanted);
+  EXPECT_NE(at, std::string::npos);
+  EXPECT_EQ(file.find(wanted, at + 1), std::string::npos) << "not the only one";
+  if (at != std::string::npos) file[at] ^= 1;
+  return file;
+}
+
+// Whatever a plan, an estimate or a comparison of data relies on: the finite, plausible values of another model would
+// do harm in silence.
+TEST(EmdModel, AChangeOfAnyValueIsRefused) {
+  const Folder folder;
+  Model model = untrained_model(small(), patch_task(), 1);
+  model.dataset = "6f1d";
+  model.provenance = "{\"commit\":\"5a\"}";
+  model.training = "{\"iterations\":12}";
+  model.datasets = {{"6f1c", 7171717, 0.04, 0.08}};
+  model.grasp_vertices = {3, 14};
+  model.initial_state = {0.125, 0.2, 0.3, 0.4, 0.5};
+  model.garment_name = "tablecloth";
+  save_model(folder / "m.h5", model, false);
+  ASSERT_NO_THROW(load_model(folder / "m.h5"));
+  const std::string good = bytes_of(folder / "m.h5");
+  const auto check = [&](const char* what, const auto& value) {
+    SCOPED_TRACE(what);
+    std::ofstream(folder / "bad.h5", std::ios::binary) << with_changed_bit(good, value);
+    EXPECT_THAT(message_of<ConfigError>([&] { load_model(folder / "bad.h5"); }), HasSubstr("recorded checksum"));
+  };
+  check("control_low", model.control_low);
+  check("control_high", model.control_high);
+  check("initial_state", model.initial_state);
+  check("initial_targets", model.initial_targets);
+  check("displacement", model.displacement);
+  check("heights", std::vector<double>{model.drop_height, model.contact_height});
+  check("grasp_vertices", model.grasp_vertices);
+  check("garment", model.garment_name);
+  check("hash", std::to_string(model.garment_hash));
+  check("controls", std::string("dtheta dr"));
+  check("material", model.material);
+  check("dataset", model.dataset);
+  check("datasets", model.datasets[0].identity);
+  check("seed", std::to_string(model.datasets[0].seed));
+  check("fractions", std::vector<double>{0.04, 0.08});
+  check("provenance", model.provenance);
+  check("training", model.training);
+  check("input_mean", model.input_mean);
+  check("calibration", model.calibration);
+  check("scale", model.scale);
+}
+
+TEST(EmdModel, FilesOfTheFirstSchemaAreRead) {
+  const Folder folder;
+  const auto old = WEFT_SOURCE_DIR "/tests/plugins/emd_model_1.h5";
+  const Model model = load_model(old);
+  EXPECT_EQ(model.dataset, "0123456789abcdef");
+  EXPECT_TRUE(model.datasets.empty());
+  TestHost host;
+  Params params;
+  params.model = old;
+  EmdPredictor(params, host).bind(patch_task());
+  save_model(folder / "new.h5", model, true);
+  EXPECT_EQ(load_model(folder / "new.h5").weights, model.weights);
+  const auto refusal = [&](const std::string& bytes) {
+    std::ofstream(folder / "bad.h5", std::ios::binary) << bytes;
+    return message_of<ConfigError>([&] { load_model(folder / "bad.h5"); });
+  };
+  EXPECT_THAT(refusal(with_changed_bit(bytes_of(old), model.mean)), HasSubstr("recorded checksum"));
+  // Called the new one, it lacks the new checksum.
+  std::string renamed = bytes_of(old);
+  renamed.replace(renamed.find("emd model 1"), 11, "emd model 2");
+  EXPECT_THAT(refusal(renamed), HasSubstr("recorded checksum"));
+  EXPECT_GT(load_model(WEFT_SOURCE_DIR "/configs/models/tshirt.h5").weights.size(), 1000000u);  // whichever it has
+}
+
 TEST(EmdModel, HostileContentIsRefusedWithTheReason) {
   const Folder folder;
   const Task task = patch_task();
@@ -461,6 +544,11 @@ TEST(EmdModel, HostileContentIsRefusedWithTheReason) {
   EXPECT_THAT(refusal([](Model& m) { m.input_sd[0] = -1.0f; }), HasSubstr("input_sd"));
   EXPECT_THAT(refusal([](Model& m) { m.calibration = {1.0f, 1.0f, 1.0f, -1.0f}; }), HasSubstr("/calibration"));
   EXPECT_THAT(refusal([](Model& m) { m.control_names.pop_back(); }), HasSubstr("/trajectory/controls"));
+  EXPECT_THAT(refusal([](Model& m) { std::swap(m.control_low, m.control_high); }),
+              HasSubstr("control_low of dtheta lies above control_high"));
+  EXPECT_THAT(refusal([](Model& m) { m.control_low[1] = -INFINITY; }), HasSubstr("not finite"));
+  EXPECT_THAT(refusal([](Model& m) { m.control_high.pop_back(); }), HasSubstr("must have 5 entries"));
+  EXPECT_THAT(refusal([](Model& m) { m.datasets = {{"two words", 1, 0.1, 0.1}}; }), HasSubstr("/datasets/identities"));
   EXPECT_THAT(refusal([](Model& m) { m.input_mean.pop_back(); }), HasSubstr("/normalisation/input_mean has a shape"));
   auto file = Hdf5File::create(folder / "other.h5");
   file.write("/schema", std::string("weft session 1"));
@@ -489,6 +577,11 @@ TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
   const FitReport report = fit("a.h5", host);
   EXPECT_TRUE(report.finished);
   EXPECT_EQ(report.iterations, 200);
+  const auto recorded = load_model(folder / "a.h5").datasets;
+  ASSERT_EQ(recorded.size(), 1u);
+  EXPECT_EQ(recorded[0].identity, data.header.identity);
+  EXPECT_EQ(recorded[0].seed, data.header.seed);
+  EXPECT_EQ(recorded[0].test_fraction, 0.15);
   EXPECT_LT(losses.back(), losses.front() - 0.5);
   TestHost more(3);
   fit("b.h5", more);

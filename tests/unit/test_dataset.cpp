@@ -275,6 +275,51 @@ TEST(Dataset, AppendsAnotherDatasetOfTheSameTaskAndKeepsEachSplit) {
   EXPECT_THAT(refused([](auto& h) { h.test_fraction *= 0.5; }), HasSubstr("test_fraction"));
 }
 
+TEST(Dataset, SaysWhenASplitIsNotWhatAModelTookItFor) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "d", 40, host);
+  const Dataset data = Dataset::load(folder / "d");
+  const DatasetOrigin own = data.header.origin();
+  const auto warnings = [&](const std::vector<DatasetOrigin>& trained_on) {
+    std::string all;
+    for (const Split split : {Split::train, Split::validation, Split::test})
+      all += data.held_out_warning(split, trained_on);
+    return all;
+  };
+  EXPECT_EQ(warnings({}), "");  // an older model does not say
+  EXPECT_EQ(warnings({own}), "");
+  const DatasetOrigin other{"of another seed", own.seed + 1, 0.5, 0.0};
+  EXPECT_EQ(warnings({other, own}), "");
+  Dataset both = data, second = data;
+  second.header.identity = other.identity;
+  second.header.seed = other.seed;
+  both.append(second);
+  ASSERT_EQ(both.origins().size(), 2u);
+  EXPECT_EQ(both.origins()[0].identity, own.identity);
+  EXPECT_EQ(both.origins()[1].seed, other.seed);
+  EXPECT_EQ(warnings(both.origins()), "");
+
+  // Another seed: nothing in common, so that its train split is no training data.
+  EXPECT_THAT(data.held_out_warning(Split::train, {other}), HasSubstr("was not trained on dataset " + own.identity));
+  EXPECT_EQ(data.held_out_warning(Split::test, {other}), "");
+  // The same examples, otherwise split: those that were trained on are counted.
+  DatasetOrigin resplit = own;
+  resplit.test_fraction = 0.5 * own.test_fraction;
+  resplit.validation_fraction = 0.0;
+  const auto test = data.select(Split::test);
+  const auto used = std::count_if(test.begin(), test.end(),
+                                  [&](std::size_t i) { return resplit.split(data.examples[i].index) == Split::train; });
+  ASSERT_GT(used, 0);
+  ASSERT_LT(used, static_cast<std::ptrdiff_t>(test.size()));
+  EXPECT_THAT(
+      data.held_out_warning(Split::test, {other, resplit}),
+      HasSubstr(std::to_string(used) + " of the " + std::to_string(test.size()) + " examples of the test split"));
+  const std::string all = std::to_string(data.select(Split::validation).size());
+  EXPECT_THAT(data.held_out_warning(Split::validation, {resplit}), HasSubstr(all + " of the " + all));
+  EXPECT_THAT(message_of<ConfigError>([] { split_named("tset"); }), HasSubstr("'tset'"));
+}
+
 TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {
   const Folder folder;
   ToyHost host(2);

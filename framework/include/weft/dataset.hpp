@@ -55,8 +55,21 @@ struct Example {
   bool failed() const { return !failure.empty(); }
 };
 
-enum class Split { train, validation, test };
+enum class Split { train, validation, test };  // in order of use: < is meaningful
 inline constexpr std::array<const char*, 3> kSplitNames = {"train", "validation", "test"};
+/// @throws ConfigError for what is no split's name.
+WEFT_API Split split_named(const std::string& name);
+
+/// What tells whether two datasets can share examples: example i is made of (seed, i), its split goes by i and the
+/// fractions.
+struct DatasetOrigin {
+  std::string identity;
+  std::uint64_t seed = 0;
+  double validation_fraction = 0.0, test_fraction = 0.0;
+
+  /// By example, never by frame, from the index alone: more examples never move one from one split to another.
+  WEFT_API Split split(std::int64_t index) const;
+};
 
 /// What all shards of a dataset share.
 struct DatasetHeader {
@@ -71,15 +84,18 @@ struct DatasetHeader {
   std::vector<std::string> control_names, state_names;
   double validation_fraction = 0.0, test_fraction = 0.0;
 
-  /// By example, never by frame, from the index alone: more examples never move one from one split to another.
-  WEFT_API Split split(std::int64_t index) const;
+  DatasetOrigin origin() const { return {identity, seed, validation_fraction, test_fraction}; }
+  Split split(std::int64_t index) const { return origin().split(index); }
 };
 
 /// Examples in memory, ascending by index within each dataset.
 struct Dataset {
   DatasetHeader header;
   std::vector<Example> examples;
+  std::vector<DatasetOrigin> appended;  ///< after append(): all that it was put together from, the first one included
 
+  /// The datasets that the examples come from: one, or all that were appended.
+  std::vector<DatasetOrigin> origins() const { return appended.empty() ? std::vector{header.origin()} : appended; }
   /// Reads and checks every shard of a folder.
   /// @param max_examples stop after that many; 0: all.
   /// @throws ConfigError for a damaged shard (refused whole), shards of different datasets, or a folder without shards.
@@ -90,6 +106,10 @@ struct Dataset {
   WEFT_API void append(Dataset other);
   /// Positions in `examples` of the good ones of a split.
   WEFT_API std::vector<std::size_t> select(Split split) const;
+  /// Why the examples of a split may not be what its name says, to a model that was trained on these datasets: some
+  /// were in an earlier split then, or, for the split train, none was. Empty: no reason is known, as when `trained_on`
+  /// is.
+  WEFT_API std::string held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on) const;
   WEFT_API Positions shape(std::size_t example, Index segment) const;  ///< [V, 3] m
   /// @throws ConfigError with the reason when the examples were not made for this task's garment, trajectory or
   /// manipulation.

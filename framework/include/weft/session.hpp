@@ -188,7 +188,7 @@ WEFT_API void check_session(const SessionParams& params, const ConfigNode& origi
 
 /// Makes a predictor and binds it to the task. What is wrong with its model file is said of the key that names it.
 /// @throws ConfigError, PluginError.
-WEFT_API std::shared_ptr<const Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host);
+WEFT_API std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host);
 
 /// One round: plan, execute one segment, observe.
 struct SessionRound {

@@ -48,6 +48,8 @@ class TrainablePredictor {
   virtual void save(const std::filesystem::path& file) const = 0;
   /// @throws ConfigError for a damaged file.
   virtual void load(const std::filesystem::path& file) = 0;
+  /// The datasets that the model it holds was fitted to; empty when there is none, or it does not say.
+  virtual std::vector<DatasetOrigin> trained_on() const { return {}; }
 };
 
 }  // namespace weft

@@ -391,6 +391,10 @@ void EmdPredictor::save(const std::filesystem::path& file) const {
   save_model(file, *model_, params_.training.half_precision);
 }
 
+std::vector<DatasetOrigin> EmdPredictor::trained_on() const {
+  return model_ ? model_->datasets : std::vector<DatasetOrigin>();
+}
+
 void EmdPredictor::load(const std::filesystem::path& file) { model_ = std::make_shared<const Model>(load_model(file)); }
 
 }  // namespace weft::emd

@@ -27,6 +27,7 @@ class EmdPredictor final : public Predictor, public TrainablePredictor {
                 const FitObserver& observer) override;
   void save(const std::filesystem::path& file) const override;
   void load(const std::filesystem::path& file) override;
+  std::vector<DatasetOrigin> trained_on() const override;
 
   /// What predictions share and keep alive.
   struct Bound {

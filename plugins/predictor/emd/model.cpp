@@ -9,7 +9,9 @@
 namespace weft::emd {
 namespace {
 
-constexpr const char* kSchema = "weft emd model 1";
+constexpr const char* kSchema = "weft emd model 2";
+constexpr const char* kOldSchema = "weft emd model 1";  // without /datasets, and with checksum_1
+constexpr Index kMostDatasets = 1000;
 
 std::uint64_t mix(std::uint64_t hash, const void* data, std::size_t size) {
   const auto* bytes = static_cast<const unsigned char*>(data);
@@ -17,7 +19,33 @@ std::uint64_t mix(std::uint64_t hash, const void* data, std::size_t size) {
   return hash;
 }
 
-std::string checksum(const Model& m) {
+/// Of all that a file holds. @param architecture as in the file: a later version may word the same one otherwise.
+std::string checksum(const Model& m, const std::string& architecture) {
+  std::uint64_t hash = 0xcbf29ce484222325ull;
+  const auto add = [&](const auto&... all) {
+    const auto one = [&](const auto& v) {
+      const std::uint64_t size = v.size();
+      hash = mix(hash, &size, sizeof(size));
+      hash = mix(hash, v.data(), v.size() * sizeof(v[0]));
+    };
+    (one(all), ...);
+  };
+  const auto& d = m.dimensions;
+  add(architecture, std::vector<std::int64_t>{d.vertices, d.controls, d.states, d.hands});
+  add(m.weights, m.mean, m.basis, m.scale, m.input_mean, m.input_sd, m.calibration);
+  add(m.garment_name, std::to_string(m.garment_hash), m.grasp_vertices);
+  for (const auto* names : {&m.control_names, &m.state_names}) {
+    for (const auto& name : *names) add(name);
+  }
+  add(m.control_low, m.control_high, m.initial_state, m.initial_targets, m.displacement);
+  add(std::vector<double>{m.drop_height, m.contact_height}, m.material, m.dataset, m.provenance, m.training);
+  for (const auto& one : m.datasets) {
+    add(one.identity, std::to_string(one.seed), std::vector<double>{one.validation_fraction, one.test_fraction});
+  }
+  return std::to_string(hash);
+}
+/// What the old schema had: of the network alone.
+std::string checksum_1(const Model& m) {
   std::uint64_t hash = 0xcbf29ce484222325ull;
   for (const auto* v : {&m.weights, &m.mean, &m.basis, &m.scale, &m.input_mean, &m.input_sd, &m.calibration}) {
     hash = mix(hash, v->data(), v->size() * sizeof(float));
@@ -257,7 +285,8 @@ void save_model(const std::filesystem::path& path, const Model& model, bool half
   const auto& d = stored.dimensions;
   auto file = Hdf5File::create(path);
   file.write("/schema", std::string(kSchema));
-  file.write("/architecture", write_architecture(stored.architecture));
+  const std::string architecture = write_architecture(stored.architecture);
+  file.write("/architecture", architecture);
   const std::int64_t sizes[4] = {d.vertices, d.controls, d.states, d.hands};
   file.write("/sizes", {4}, sizes);
   const auto write = [&](const std::string& name, std::vector<Index> shape, const float* data, bool half) {
@@ -278,7 +307,7 @@ void save_model(const std::filesystem::path& path, const Model& model, bool half
   vector("/normalisation/input_mean", stored.input_mean);
   vector("/normalisation/input_sd", stored.input_sd);
   file.write("/calibration", {2, 2, static_cast<Index>(stored.calibration.size() / 4)}, stored.calibration.data());
-  file.write("/checksum", checksum(stored));
+  file.write("/checksum", checksum(stored, architecture));
   file.write("/garment/name", stored.garment_name);
   file.write("/garment/hash", std::to_string(stored.garment_hash));
   file.write("/garment/grasp_vertices", {static_cast<Index>(stored.grasp_vertices.size())},
@@ -296,6 +325,18 @@ void save_model(const std::filesystem::path& path, const Model& model, bool half
   numbers("/manipulation/heights", {stored.drop_height, stored.contact_height});
   file.write("/material", stored.material);
   file.write("/dataset", stored.dataset);
+  if (!stored.datasets.empty()) {
+    std::vector<std::string> identities, seeds;
+    std::vector<double> fractions;
+    for (const auto& one : stored.datasets) {
+      identities.push_back(one.identity);
+      seeds.push_back(std::to_string(one.seed));
+      fractions.insert(fractions.end(), {one.validation_fraction, one.test_fraction});
+    }
+    file.write("/datasets/identities", join(identities));
+    file.write("/datasets/seeds", join(seeds));
+    file.write("/datasets/split_fractions", {static_cast<Index>(seeds.size()), 2}, fractions.data());
+  }
   file.write("/provenance", stored.provenance);
   file.write("/training", stored.training);
   file.commit();
@@ -305,11 +346,13 @@ Model load_model(const std::filesystem::path& path) {
   const auto file = Hdf5File::open(path);
   const auto refuse = [&](const std::string& reason) { throw ConfigError(path.string() + ": " + reason); };
   if (!file.has("/schema")) refuse("is no model of the predictor emd");
-  if (const auto schema = file.read_text("/schema"); schema != kSchema) {
-    refuse("has the schema '" + schema + "', this program reads '" + std::string(kSchema) + "'");
+  const auto schema = file.read_text("/schema");
+  if (schema != kSchema && schema != kOldSchema) {
+    refuse("has the schema '" + schema + "', this program reads '" + kSchema + "' and '" + kOldSchema + "'");
   }
   Model m;
-  read_params(ConfigNode::parse(file.read_text("/architecture"), path.string() + ": /architecture"), m.architecture);
+  const std::string architecture = file.read_text("/architecture");
+  read_params(ConfigNode::parse(architecture, path.string() + ": /architecture"), m.architecture);
   const auto sizes = file.read_int("/sizes", 4);
   if (sizes.size() != 4) refuse("/sizes must have 4 entries");
   for (const auto size : sizes) {
@@ -353,13 +396,16 @@ Model load_model(const std::filesystem::path& path) {
   m.calibration = read("/calibration", steps);
   if (std::any_of(m.calibration.begin(), m.calibration.end(), [](float x) { return !(x > 1e-3f && x < 1e3f); }))
     refuse("/calibration must be in (0.001, 1000)");
-  if (checksum(m) != file.read_text("/checksum")) refuse("is damaged: the weights do not have the recorded checksum");
   m.garment_name = file.read_text("/garment/name");
-  try {
-    m.garment_hash = std::stoull(file.read_text("/garment/hash"));
-  } catch (const std::logic_error&) {
-    refuse("/garment/hash is no number");
-  }
+  const auto integer = [&](const std::string& name, const std::string& text) -> std::uint64_t {
+    try {
+      return std::stoull(text);
+    } catch (const std::logic_error&) {
+      refuse(name + " holds '" + text + "', which is no number");
+      return 0;
+    }
+  };
+  m.garment_hash = integer("/garment/hash", file.read_text("/garment/hash"));
   m.grasp_vertices = file.read_int("/garment/grasp_vertices", 64);
   const auto words = [&](const std::string& name, Index count) {
     std::vector<std::string> all(1);
@@ -370,7 +416,7 @@ Model load_model(const std::filesystem::path& path) {
         all.back().push_back(c);
       }
     }
-    if (static_cast<Index>(all.size()) != count) refuse(name + " must name " + std::to_string(count) + " variables");
+    if (static_cast<Index>(all.size()) != count) refuse(name + " must have " + std::to_string(count) + " words");
     return all;
   };
   m.control_names = words("/trajectory/controls", d.controls);
@@ -385,6 +431,10 @@ Model load_model(const std::filesystem::path& path) {
   };
   m.control_low = numbers("/trajectory/control_low", d.controls);
   m.control_high = numbers("/trajectory/control_high", d.controls);
+  for (std::size_t c = 0; c < m.control_low.size(); ++c) {
+    if (m.control_low[c] > m.control_high[c])
+      refuse("/trajectory/control_low of " + m.control_names[c] + " lies above control_high");
+  }
   m.initial_state = numbers("/manipulation/initial_state", d.states);
   m.initial_targets = numbers("/manipulation/initial_targets", 3 * d.hands);
   m.displacement = numbers("/manipulation/displacement", 2);
@@ -393,8 +443,20 @@ Model load_model(const std::filesystem::path& path) {
   m.contact_height = heights[1];
   m.material = file.read_text("/material");
   m.dataset = file.read_text("/dataset");
+  if (file.has("/datasets/split_fractions")) {
+    const auto shape = file.shape("/datasets/split_fractions");
+    if (shape.size() != 2 || shape[0] < 1 || shape[0] > kMostDatasets || shape[1] != 2)
+      refuse("/datasets/split_fractions must have the shape [n, 2]");
+    const auto identities = words("/datasets/identities", shape[0]), seeds = words("/datasets/seeds", shape[0]);
+    const auto fractions = numbers("/datasets/split_fractions", 2 * shape[0]);
+    for (std::size_t i = 0; i < seeds.size(); ++i)
+      m.datasets.push_back(
+          {identities[i], integer("/datasets/seeds", seeds[i]), fractions[2 * i], fractions[2 * i + 1]});
+  }
   m.provenance = file.read_text("/provenance");
   m.training = file.read_text("/training");
+  const std::string wanted = schema == kSchema ? checksum(m, architecture) : checksum_1(m);
+  if (wanted != file.read_text("/checksum")) refuse("is damaged: its content does not have the recorded checksum");
   return m;
 }
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "params.hpp"
+#include "weft/dataset.hpp"
 #include "weft/task.hpp"
 
 namespace weft::emd {
@@ -78,6 +79,7 @@ struct Model {
   std::vector<double> displacement;           ///< [2]
   std::string material;                       ///< material space, YAML
   std::string dataset, provenance, training;  ///< identity of the data; versions and commit; training.json
+  std::vector<DatasetOrigin> datasets;        ///< what the data are; empty: the file is older than this record
 
   bool needs_basis() const { return architecture.pca_skip || architecture.previous_shape; }
   Index latent_size() const { return architecture.latent + architecture.memory; }
@@ -102,8 +104,8 @@ Model untrained_model(Architecture architecture, const Task& task, std::uint64_t
 /// Rounds to the nearest 16-bit float, as it will be read back.
 float round_to_half(float value);
 void save_model(const std::filesystem::path& file, const Model& model, bool half_precision);
-/// Checks every size, every number and the checksum. @throws ConfigError with the reason. Runs nothing that the file
-/// holds.
+/// Checks every size, every number, every range and the checksum. @throws ConfigError with the reason. Runs nothing
+/// that the file holds.
 Model load_model(const std::filesystem::path& file);
 
 }  // namespace weft::emd

@@ -191,6 +191,7 @@ class Fit {
     model_.architecture = job.architecture;
     model_.describe_task(job.task);
     model_.dataset = job.dataset.header.identity;
+    model_.datasets = job.dataset.origins();
     model_.provenance = job.options.provenance;
     if (model_.dimensions.inputs() > 512) throw ConfigError("emd: the trajectory has too many variables");
     if (model_.needs_basis() && job.architecture.latent > model_.dimensions.coordinates()) {
