@@ -17,6 +17,7 @@
 
 #include "inputs.hpp"
 #include "network.hpp"
+#include "sampling.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/random.hpp"
 
@@ -153,28 +154,6 @@ struct Batch {
   std::vector<std::int64_t> columns;  ///< coordinates that enter the loss, ascending; empty: all
   Index rows = 0;
 };
-
-struct Sequence {
-  std::size_t example = 0;
-  Index start = 0, steps = 0;
-  MaterialKnowledge knowledge;
-  std::vector<Index> decoded;  ///< ascending, in [1, steps]
-};
-
-/// Knowledge of eq. 3: w = R(0,1)^2, c = q + R(-w, w)/2, c clipped to [0, 1]; for a share of the examples exact
-/// knowledge or none.
-MaterialKnowledge sample_knowledge(const MaterialProperties& q, double certain_share, double unknown_share,
-                                   RandomStream& random) {
-  const double kind = random.uniform();
-  MaterialKnowledge k;
-  for (Index p = 0; p < 4; ++p) {
-    const double u = random.uniform(), v = random.uniform(-1.0, 1.0);
-    k.width[p] = u * u;
-    k.centre[p] = std::clamp(q[p] + 0.5 * k.width[p] * v, 0.0, 1.0);
-  }
-  if (kind < certain_share) return MaterialKnowledge::certain(q);
-  return kind < certain_share + unknown_share ? MaterialKnowledge::none() : k;
-}
 
 class Fit {
  public:
@@ -444,23 +423,8 @@ class Fit {
     std::vector<Sequence> sequences(static_cast<std::size_t>(t_.batch));
     for (std::size_t b = 0; b < sequences.size(); ++b) {
       RandomStream random = streams.child(b);
-      auto& s = sequences[b];
-      s.example = train_[random.below(train_.size())];
-      const auto& e = example(s.example);
-      const auto k = static_cast<std::uint64_t>(e.segments());
-      const bool from_start = random.uniform() < t_.start_share;
-      const auto start = static_cast<Index>(random.below(k));
-      s.start = from_start ? 0 : start;
-      s.steps = std::min<Index>(e.segments() - s.start, t_.max_steps);
-      s.knowledge = sample_knowledge(e.q, t_.certain_share, t_.unknown_share, random);
-      // The last shape and some of the others.
-      std::vector<Index> others;
-      for (Index j = 1; j < s.steps; ++j) others.push_back(j);
-      for (std::size_t i = 0; i < others.size(); ++i) std::swap(others[i], others[i + random.below(others.size() - i)]);
-      others.resize(std::min(others.size(), static_cast<std::size_t>(t_.decoded_steps - 1)));
-      others.push_back(s.steps);
-      std::sort(others.begin(), others.end());
-      s.decoded = others;
+      const std::size_t i = train_[random.below(train_.size())];
+      sequences[b] = sample_sequence(i, example(i), t_, random);
     }
     return sequences;
   }
