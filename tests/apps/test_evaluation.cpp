@@ -1,10 +1,16 @@
 // evaluate planning and evaluate estimation as people use them, on a coarse towel with an untrained network: what they
 // write, that they survive being killed, and that they repeat.
+#include <algorithm>
+#include <cmath>
 #include <fstream>
+#include <iterator>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
+#include "weft/dataset.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {
@@ -71,6 +77,85 @@ TEST(EvaluatePlanning, IsResumedAfterBeingKilledAndRepeats) {
   const Outcome other = weft_command(command + "--set planning.noise=2 --out " + quoted(folder / "whole"));
   EXPECT_EQ(other.code, 2);
   EXPECT_THAT(other.output, HasSubstr("another config"));
+}
+
+/// Files in a folder and what they hold; none when there is no such folder.
+std::map<std::string, std::string> files_of(const std::filesystem::path& folder) {
+  std::map<std::string, std::string> all;
+  if (!std::filesystem::exists(folder)) return all;
+  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+    std::ifstream stream(entry.path(), std::ios::binary);
+    all[entry.path().filename().string()] = {std::istreambuf_iterator<char>(stream), {}};
+  }
+  return all;
+}
+
+TEST(EvaluateEstimation, FreshCasesAreResumedAfterBeingKilledAndRepeat) {
+  const Folder folder;
+  const std::string command =
+      "evaluate estimation " + kConfig + kQuick + "--cases 4 --goals fresh --seed 5 --jobs 1 --quiet ";
+  const Outcome whole = weft_command(command + "--out " + quoted(folder / "whole"));
+  ASSERT_EQ(whole.code, 0) << whole.output;
+  const json result = read(folder / "whole/estimation.json");
+  EXPECT_EQ(result["goals"], "fresh");
+  EXPECT_EQ(result["n"], 4);
+  EXPECT_TRUE(result["complete"]);
+  // Other materials each, and a manipulation each.
+  EXPECT_NE(result["cases"][0]["true_material"], result["cases"][1]["true_material"]);
+  for (const auto& one : result["cases"]) EXPECT_GE(one["knowledge"].size(), 4u);
+
+  // Killed as soon as the first case is there.
+  const auto cells = folder / "parts/fresh/cells";
+  test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + command + "--out " + quoted(folder / "parts") +
+                  " & pid=$!; for i in $(seq 3000); do ls " + quoted(cells) +
+                  "/*.json >/dev/null 2>&1 && break; sleep 0.01; done; kill -KILL $pid; wait $pid");
+  const auto kept = files_of(cells);
+  ASSERT_GE(kept.size(), 1u);
+  EXPECT_FALSE(std::filesystem::exists(folder / "parts/estimation.json"));
+  const Outcome rest = weft_command(command + "--out " + quoted(folder / "parts"));
+  ASSERT_EQ(rest.code, 0) << rest.output;
+  EXPECT_EQ(without_seconds(read(folder / "parts/estimation.json")), without_seconds(result));
+  const auto all = files_of(cells);
+  for (const auto& [name, content] : kept) {
+    if (name.find(".tmp") == std::string::npos) {
+      EXPECT_EQ(all.at(name), content) << name << " was made again";
+    }
+  }
+}
+
+TEST(EvaluatePlanning, GoalsOfASplitAreWhatItsExamplesBecame) {
+  const Folder folder;
+  ASSERT_EQ(weft_command("generate " + kConfig + "--examples 24 --quiet --out " + quoted(folder / "data")).code, 0);
+  const Outcome outcome = weft_command("evaluate planning " + kConfig + kQuick +
+                                       "--cases 2 --widths 0.5 --goals test train --quiet --data " +
+                                       quoted(folder / "data") + " --out " + quoted(folder / "out"));
+  ASSERT_EQ(outcome.code, 0) << outcome.output;
+  const json result = read(folder / "out/planning.json");
+  EXPECT_EQ(result["goals"], "test");
+  ASSERT_EQ(result["cases"].size(), 2u);
+  const json& train = result["columns"]["train"];
+  EXPECT_EQ(train["goals"], "train");
+  for (const json* column : {&result, &train}) {
+    ASSERT_EQ((*column)["by_width"].size(), 1u);
+    EXPECT_EQ((*column)["by_width"][0]["n"], 2);
+    EXPECT_GT((*column)["by_width"][0]["mean_mm"].get<double>(), 0.0);
+  }
+  // The example's controls and its material together make its goal: it is the example's last shape.
+  const Dataset data = Dataset::load(folder / "data");
+  const auto goals = Hdf5File::open(folder / "out/cases.h5").read_float("/planning/goals");
+  const auto size = static_cast<std::size_t>(data.header.vertices * 3);
+  ASSERT_EQ(goals.size(), 2 * size);
+  std::set<std::size_t> found;
+  for (std::size_t g = 0; g < 2; ++g) {
+    for (const auto i : data.select(Split::test)) {
+      const auto& shapes = data.examples[i].shapes;
+      float largest = 0.0f;
+      for (std::size_t c = 0; c < size; ++c)
+        largest = std::max(largest, std::abs(goals[g * size + c] - shapes[shapes.size() - size + c]));
+      if (largest < 1e-5f) found.insert(i);
+    }
+  }
+  EXPECT_EQ(found.size(), 2u) << "goals that are a test example's last shape";
 }
 
 TEST(EvaluateEstimation, ComparesMethodsOnHeldOutAndOnTrainingExamples) {
