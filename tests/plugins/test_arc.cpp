@@ -5,6 +5,7 @@
 
 #include "trajectory/arc/arc.cpp"  // the class is compiled in: what is tested here does not need the loader
 #include "weft/random.hpp"
+#include "weft/random_controls.hpp"
 
 namespace weft::arc {
 namespace {
@@ -224,6 +225,107 @@ TEST(Arc, PullbackOfTargetsMatchesCentralDifferences) {
     }
   }
   EXPECT_LT(worst, 1e-7);
+}
+
+// --- random controls (framework), on the trajectory that they are for -----------------------------------------------
+
+/// Draws of one distribution, [draws][horizon, 5]; dtheta in multiples of its default, the others in their scales.
+std::vector<Controls> draws(const RandomControlsParams& params, int count, Index horizon) {
+  const Arc arc(Params{});
+  const auto variables = arc.controls();
+  std::vector<Controls> all;
+  for (int i = 0; i < count; ++i) {
+    RandomStream random(11, static_cast<std::uint64_t>(i));
+    Controls controls = random_controls(arc, horizon, params, random);
+    EXPECT_EQ(controls.rows(), horizon);
+    for (Index c = 0; c < controls.cols(); ++c) {
+      const auto& v = variables[static_cast<std::size_t>(c)];
+      EXPECT_GE(controls.col(c).minCoeff(), v.lower);
+      EXPECT_LE(controls.col(c).maxCoeff(), v.upper);
+      controls.col(c) /= c == 0 ? v.default_value : v.scale;
+    }
+    all.push_back(controls);
+  }
+  return all;
+}
+
+TEST(RandomControls, PaceIsLogUniformAndTheRestStillWithoutDriftAndWalk) {
+  RandomControlsParams params;
+  params.drift = params.walk = 0.0;
+  double sum = 0.0;
+  int slow = 0;
+  constexpr int kCount = 4000;
+  for (const auto& controls : draws(params, kCount, 3)) {
+    const double pace = controls(0, 0);
+    ASSERT_GE(pace, 0.6 - 1e-12);
+    ASSERT_LE(pace, 1.6 + 1e-12);
+    EXPECT_TRUE(controls.col(0).isConstant(pace, 1e-12));
+    EXPECT_TRUE(controls.rightCols(4).isZero(0.0));
+    sum += std::log(pace);
+    slow += pace < 0.6 * std::sqrt(std::sqrt(1.6 / 0.6));
+  }
+  EXPECT_NEAR(sum / kCount, 0.5 * std::log(0.6 * 1.6), 5.0 * std::log(1.6 / 0.6) / std::sqrt(12.0 * kCount));
+  EXPECT_NEAR(slow, 0.25 * kCount, 5.0 * std::sqrt(kCount * 0.25 * 0.75));
+}
+
+TEST(RandomControls, DriftIsConstantWithinATrajectoryAndVariesBetweenThem) {
+  RandomControlsParams params;
+  params.pace_low = params.pace_high = 1.0;
+  params.walk = 0.0;
+  constexpr int kCount = 4000;
+  Eigen::Array<double, 1, 5> squares = Eigen::Array<double, 1, 5>::Zero();
+  double product = 0.0;
+  for (const auto& controls : draws(params, kCount, 4)) {
+    for (Index c = 0; c < 5; ++c) EXPECT_TRUE(controls.col(c).isConstant(controls(0, c), 1e-12));
+    Eigen::Array<double, 1, 5> z = controls.row(0).array();
+    z(0) = (z(0) - 1.0) * 4.0;  // its default is 4 scales
+    squares += z.square();
+    product += z(1) * z(2);
+  }
+  for (Index c = 0; c < 5; ++c) EXPECT_NEAR(std::sqrt(squares(c) / kCount), 0.7, 0.04) << c;
+  EXPECT_NEAR(product / kCount, 0.0, 5.0 * 0.49 / std::sqrt(kCount));  // each control has its own
+}
+
+TEST(RandomControls, WalkIsStationaryAndAsSmoothAsAsked) {
+  for (const double smoothness : {0.0, 0.8}) {
+    RandomControlsParams params;
+    params.pace_low = params.pace_high = 1.0;
+    params.drift = 0.0;
+    params.smoothness = smoothness;
+    constexpr int kCount = 4000;
+    constexpr Index kHorizon = 10;
+    Eigen::Array<double, 1, 5> first = Eigen::Array<double, 1, 5>::Zero(), last = first, next = first;
+    for (const auto& controls : draws(params, kCount, kHorizon)) {
+      Eigen::Array<double, kHorizon, 5> z = controls.array();
+      z.col(0) = (z.col(0) - 1.0) * 4.0;
+      first += z.row(0).square();
+      last += z.row(kHorizon - 1).square();
+      next += z.row(0) * z.row(1);
+    }
+    for (Index c = 0; c < 5; ++c) {
+      EXPECT_NEAR(std::sqrt(first(c) / kCount), 0.5, 0.03) << c;
+      EXPECT_NEAR(std::sqrt(last(c) / kCount), 0.5, 0.03) << c;
+      EXPECT_NEAR(next(c) / first(c), smoothness, 0.08) << c;
+    }
+  }
+}
+
+TEST(RandomControls, DefaultsMakeShortAndLongFolds) {
+  const Arc arc(Params{});
+  const Manipulation m = straight();
+  std::vector<int> folds(26, 0);
+  int unreleased = 0;
+  for (int i = 0; i < 2000; ++i) {
+    RandomStream random(5, static_cast<std::uint64_t>(i)), again = random;
+    const Controls controls = random_controls(arc, 25, {}, random);
+    EXPECT_EQ(random_controls(arc, 25, {}, again), controls);
+    const Index u = arc.release_segment(m, arc.initial_state(m), controls);
+    ++folds.at(static_cast<std::size_t>(u));
+    unreleased += !arc.released(arc.segment_states(m, arc.initial_state(m), controls).row(u - 1).transpose());
+  }
+  // The default takes 8 segments. From half of that to three times as many, nothing in between left out.
+  for (std::size_t u = 4; u <= 24; ++u) EXPECT_GT(folds[u], 0) << u;
+  EXPECT_LT(unreleased, 60);
 }
 
 }  // namespace

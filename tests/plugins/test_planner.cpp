@@ -2,8 +2,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cmath>
 #include <numeric>
+#include <thread>
 
 #include "optimiser/rprop/rprop.cpp"
 #include "trajectory/arc/arc.cpp"
@@ -91,6 +93,8 @@ class TargetsPredictor final : public Predictor {
   std::optional<Box> range;
   std::optional<Index> most;
   mutable Index longest = 0;  // controls that were asked about
+  int stalls_at = 0;          // the call of predict() that takes stall_s; 0: none
+  double stall_s = 0.0;
   PredictorCapabilities capabilities() const override { return {.gradients = has_gradients}; }
   std::optional<Box> control_range() const override { return range; }
   std::optional<Index> max_segments() const override { return most; }
@@ -98,11 +102,13 @@ class TargetsPredictor final : public Predictor {
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest&) const override {
     for (const auto& one : cases) longest = std::max(longest, one.controls.rows());
+    if (++calls_ == stalls_at) std::this_thread::sleep_for(std::chrono::duration<double>(stall_s));
     return std::make_unique<TargetsPrediction>(task_, cases, sigma_slope);
   }
 
  private:
   Task task_;
+  mutable int calls_ = 0;
 };
 
 struct Bench {
@@ -224,14 +230,24 @@ TEST(Planner, SameSeedSameBitsAndAnotherSeedAnotherSearch) {
   EXPECT_NE(a.losses, setup.plan().losses);
 }
 
+// The predictor stalls for longer than the budget, some iterations in.
 TEST(Planner, ReplayedIterationsRepeatARunThatWasLimitedByTime) {
   Bench setup;
-  setup.params.time_budget_s = 1e-9;
+  setup.params.time_budget_s = 1.0;
+  setup.predictor->stalls_at = 8;
+  setup.predictor->stall_s = 1.1;
   const Plan limited = setup.plan();
-  EXPECT_LT(limited.iterations, 120);
+  EXPECT_GT(limited.iterations, 0);
+  EXPECT_LT(limited.iterations, 8);
   setup.params.time_budget_s = 0;
+  setup.predictor->stalls_at = 0;
   setup.params.replay_iterations = {static_cast<double>(limited.iterations)};
-  EXPECT_EQ(setup.plan().controls, limited.controls);
+  const Plan replayed = setup.plan();
+  EXPECT_EQ(replayed.controls, limited.controls);
+  EXPECT_EQ(replayed.losses, limited.losses);
+  EXPECT_EQ(replayed.curves, limited.curves);
+  setup.params.replay_iterations = {static_cast<double>(limited.iterations + 1)};
+  EXPECT_NE(setup.plan().losses, limited.losses);
 }
 
 TEST(Planner, RefusesAnOptimiserThatNeedsGradientsThatAreNotThere) {
