@@ -220,6 +220,21 @@ TEST(Planner, TheBestResidualLossWins) {
   EXPECT_EQ(plan.loss, plan.losses[static_cast<std::size_t>(plan.instance)]);
 }
 
+TEST(Planner, StopsWhenThePlanIsStable) {
+  Bench setup;
+  Positions goal = *setup.request.goal;
+  goal.col(2).array() += 0.05;  // out of reach: a loss is left, and a plan that cannot be improved
+  setup.request.goal = std::make_shared<const Positions>(goal);
+  setup.params.iterations = 2000;
+  setup.optimiser = std::make_shared<rprop::Rprop>(rprop::Params{.step_tolerance = 0.0, .relative_tolerance = 0.0});
+  const Plan whole = setup.plan();
+  setup.optimiser = std::make_shared<rprop::Rprop>(rprop::Params{.relative_tolerance = 1e-3, .patience = 10});
+  const Plan stable = setup.plan();
+  EXPECT_LT(stable.iterations, 400);
+  EXPECT_LT(stable.iterations, whole.iterations);
+  EXPECT_LT(stable.loss, 1.05 * whole.loss);
+}
+
 TEST(Planner, SameSeedSameBitsAndAnotherSeedAnotherSearch) {
   Bench setup;
   setup.params.iterations = 5;
