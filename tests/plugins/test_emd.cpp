@@ -640,15 +640,20 @@ TEST(EmdSampling, SharesOfKnowledgeStartsAndShapesAreThoseAskedFor) {
   for (std::size_t j = 1; j < 6; ++j) expect_share(decoded[j], 2.0 / 5.0, long_ones);  // besides the last, 2 of 5
 }
 
+Params small_and_quick() {
+  Params params;
+  params.architecture = small();
+  params.training = quick();
+  return params;
+}
+
 #if WEFT_HAS_TORCH
 TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
   const Folder folder;
   const Task task = patch_task();
   const Dataset data = toy_dataset(task, 60);
   TestHost host(1);
-  Params params;
-  params.architecture = small();
-  params.training = quick();
+  Params params = small_and_quick();
   params.training.iterations = 200;
   std::vector<double> losses;
   const auto fit = [&](const std::string& name, Host& on) {
@@ -694,9 +699,7 @@ TEST(EmdTraining, CalibrationBringsSigmaToTheErrorsOfUnseenExamples) {
   const Task task = patch_task();
   const Dataset data = toy_dataset(task, 200);
   TestHost host;
-  Params params;
-  params.architecture = small();
-  params.training = quick();
+  Params params = small_and_quick();
   params.training.iterations = 600;
   params.training.max_examples = 20;
   params.training.average = 0.0;
@@ -739,9 +742,7 @@ TEST(EmdTraining, TheBestModelSoFarCanBeUsedMeanwhile) {
   const Folder folder;
   const Task task = patch_task();
   TestHost host(1);
-  Params params;
-  params.architecture = small();
-  params.training = quick();
+  Params params = small_and_quick();
   int loaded = 0;
   EmdPredictor(params, host)
       .fit(toy_dataset(task, 40), task, {.seed = 4, .model = folder / "model.h5"}, [&](const FitProgress& p) {
@@ -762,9 +763,7 @@ TEST(EmdTraining, AStoppedFitGoesOnToTheSameBits) {
   const Dataset data = toy_dataset(task, 40);
   TestHost host(1);
   for (const char* optimiser : {"adam", "signsgd"}) {
-    Params params;
-    params.architecture = small();
-    params.training = quick();
+    Params params = small_and_quick();
     params.training.optimiser = optimiser;
     if (params.training.optimiser == "signsgd") params.training.rate = 1e-3;
     const auto fit = [&](const std::string& name, std::int64_t stop_at) {
@@ -797,9 +796,7 @@ TEST(EmdTraining, SignSgdMovesByTheMajorityOfSigns) {
   const Task task = patch_task();
   const Dataset data = toy_dataset(task, 40);
   TestHost host(1);
-  Params params;
-  params.architecture = small();
-  params.training = quick();
+  Params params = small_and_quick();
   auto& t = params.training;
   t.optimiser = "signsgd";
   t.iterations = 1;
@@ -846,9 +843,7 @@ TEST(EmdTraining, SignSgdHalvesItsRateStopsEarlyAndKeepsTheBest) {
   const Task task = patch_task();
   const Dataset data = toy_dataset(task, 40);
   TestHost host(1);
-  Params params;
-  params.architecture = small();
-  params.training = quick();
+  Params params = small_and_quick();
   auto& t = params.training;
   t.optimiser = "signsgd";
   t.iterations = 2000;

@@ -264,12 +264,16 @@ TEST_F(Session, RefinementBringsThePlanCloserInTheSimulator) {
 }
 
 TEST_F(Session, RefinementUsesTheEstimatedMaterial) {
-  const std::vector<std::string> refining = {"refinement={first: 2, plans: 1, iterations: 1}"};
-  const SessionResult result = run(with(kEstimate, refining));
-  ASSERT_GE(result.rounds.size(), 3u);
-  EXPECT_EQ(result.rounds[1].refinement_seconds, 0.0);
-  EXPECT_GT(result.rounds[2].refinement_seconds, 0.0);
-  EXPECT_EQ(result.rounds[2].knowledge.centre, result.estimates[0].knowledge.centre);
+  // No step is taken: the refined plan is the plan before, judged by the simulator at the material that it is given.
+  const SessionResult plain = run(kEstimate),
+                      refined = run(with(kEstimate, {"refinement={first: 2, plans: 1, iterations: 0}"}));
+  ASSERT_GE(refined.rounds.size(), 3u);
+  EXPECT_EQ(refined.rounds[1].refinement_seconds, 0.0);
+  EXPECT_GT(refined.rounds[2].refinement_seconds, 0.0);
+  EXPECT_EQ(refined.rounds[2].knowledge.centre, refined.estimates[0].knowledge.centre);
+  EXPECT_NE(refined.rounds[2].knowledge.centre, refined.true_material);
+  // The predictor of these sessions is the simulator, too, at the estimate.
+  EXPECT_NEAR(refined.rounds[2].plan.predicted_error_mm, plain.rounds[2].plan.predicted_error_mm, 1e-9);
 }
 
 TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
