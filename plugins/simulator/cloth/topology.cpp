@@ -54,6 +54,9 @@ Topology::Topology(const Garment& garment) {
     }
   }
 
+  for (const auto& [a, b] : edges) mean_edge += std::hypot(rest[a][0] - rest[b][0], rest[a][1] - rest[b][1]);
+  mean_edge /= static_cast<double>(edges.size());
+
   component.assign(vertices, -1);
   std::vector<std::vector<std::int32_t>> near(vertices);
   for (const auto& edge : edges) {

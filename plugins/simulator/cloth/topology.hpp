@@ -21,7 +21,7 @@ struct Topology {
   std::vector<std::int32_t> face_of_vertex_start;     ///< [v + 1]
   std::vector<std::int32_t> face_of_vertex;           ///< faces around a vertex
   std::vector<std::int32_t> component;                ///< [v] connected piece
-  double max_edge = 0.0;                              ///< m, rest
+  double max_edge = 0.0, mean_edge = 0.0;             ///< m, rest
   double min_height = 0.0;                            ///< m, smallest altitude of a rest face
 };
 
