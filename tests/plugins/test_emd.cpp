@@ -507,10 +507,11 @@ TEST(EmdModel, AChangeOfAnyValueIsRefused) {
   check("training", model.training);
   check("input_mean", model.input_mean);
   check("calibration", model.calibration);
+  check("calibration_added", model.calibration_added);
   check("scale", model.scale);
 }
 
-TEST(EmdModel, FilesOfTheFirstSchemaAreRead) {
+TEST(EmdModel, FilesOfEarlierSchemasAreRead) {
   const Folder folder;
   const auto old = WEFT_SOURCE_DIR "/tests/plugins/emd_model_1.h5";
   const Model model = load_model(old);
@@ -529,8 +530,16 @@ TEST(EmdModel, FilesOfTheFirstSchemaAreRead) {
   EXPECT_THAT(refusal(with_changed_bit(bytes_of(old), model.mean)), HasSubstr("recorded checksum"));
   // Called the new one, it lacks the new checksum.
   std::string renamed = bytes_of(old);
-  renamed.replace(renamed.find("emd model 1"), 11, "emd model 2");
+  renamed.replace(renamed.find("emd model 1"), 11, "emd model 3");
   EXPECT_THAT(refusal(renamed), HasSubstr("recorded checksum"));
+  // The second one had no added lengths.
+  Model second = model;
+  second.calibration_added.clear();
+  save_model(folder / "second.h5", second, false);
+  renamed = bytes_of(folder / "second.h5");
+  renamed.replace(renamed.find("emd model 3"), 11, "emd model 2");
+  std::ofstream(folder / "second.h5", std::ios::binary) << renamed;
+  EXPECT_TRUE(load_model(folder / "second.h5").calibration_added.empty());
   EXPECT_GT(load_model(WEFT_SOURCE_DIR "/configs/models/tshirt.h5").weights.size(), 1000000u);  // whichever it has
 }
 
@@ -547,6 +556,7 @@ TEST(EmdModel, HostileContentIsRefusedWithTheReason) {
   EXPECT_THAT(refusal([](Model& m) { m.scale[0] = 0.0f; }), HasSubstr("/normalisation/scale must be positive"));
   EXPECT_THAT(refusal([](Model& m) { m.input_sd[0] = -1.0f; }), HasSubstr("input_sd"));
   EXPECT_THAT(refusal([](Model& m) { m.calibration = {1.0f, 1.0f, 1.0f, -1.0f}; }), HasSubstr("/calibration"));
+  EXPECT_THAT(refusal([](Model& m) { m.calibration_added[0] = -1.0f; }), HasSubstr("/calibration_added must be in"));
   EXPECT_THAT(refusal([](Model& m) { m.control_names.pop_back(); }), HasSubstr("/trajectory/controls"));
   EXPECT_THAT(refusal([](Model& m) { std::swap(m.control_low, m.control_high); }),
               HasSubstr("control_low of dtheta lies above control_high"));

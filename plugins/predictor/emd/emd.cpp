@@ -77,8 +77,8 @@ class EmdPrediction final : public Prediction {
 
  private:
   const Model& model() const { return *bound_->model; }
-  Model::SigmaFactor sigma_factor(std::size_t i, Index steps) const {
-    return model().sigma_factor(steps, !has_previous_[i], widths_[i]);
+  Model::SigmaCalibration calibration(std::size_t i, Index steps) const {
+    return model().sigma_calibration(steps, !has_previous_[i], widths_[i]);
   }
   const Dimensions& dim() const { return bound_->model->dimensions; }
   const CaseInputs& input(const Part& part, Index row) const {
@@ -184,12 +184,12 @@ class EmdPrediction final : public Prediction {
       shape.mean.resize(dim().vertices, 3);
       shape.sigma.resize(has_sigma ? dim().vertices : 0, 3);
       const float* m = mean.data() + w * static_cast<std::size_t>(n);
-      const float factor = sigma_factor(i, block.wanted[w].step).value * kLength;
+      const Model::SigmaCalibration calibrated = calibration(i, block.wanted[w].step);
       for (Index c = 0; c < n; ++c)
         shape.mean.data()[c] = static_cast<double>((m[c] + model().mean[static_cast<std::size_t>(c)]) * kLength);
       if (has_sigma) {
         const float* d = sigma.data() + w * static_cast<std::size_t>(n);
-        for (Index c = 0; c < n; ++c) shape.sigma.data()[c] = static_cast<double>(d[c] * factor);
+        for (Index c = 0; c < n; ++c) shape.sigma.data()[c] = calibrated(static_cast<double>(d[c] * kLength));
       }
       if (!shape.mean.allFinite() || !shape.sigma.allFinite()) {
         failures_[i] = "emd: the prediction after " + std::to_string(block.wanted[w].step) +
@@ -221,12 +221,16 @@ class EmdPrediction final : public Prediction {
       }
       if (cotangent.sigma.rows() > 0) {
         if (d_sigma.empty()) d_sigma.assign(count, 0.0f);
-        const Model::SigmaFactor calibration = sigma_factor(i, block.wanted[w].step);
-        const float factor = calibration.value * kLength;
-        const double d_log = cotangent.sigma.cwiseProduct(shapes_[i][s].sigma).sum();
-        gradients[i].width.array() += d_log * static_cast<double>(calibration.slope) / 4.0;  // through the mean width
+        const Model::SigmaCalibration calibrated = calibration(i, block.wanted[w].step);
+        const double* sigma = shapes_[i][s].sigma.data();
         float* d = d_sigma.data() + w * static_cast<std::size_t>(n);
-        for (Index c = 0; c < n; ++c) d[c] = static_cast<float>(cotangent.sigma.data()[c]) * factor;
+        double d_width = 0.0;
+        for (Index c = 0; c < n; ++c) {
+          const double one = cotangent.sigma.data()[c];
+          d_width += one * calibrated.by_width(sigma[c]);
+          d[c] = static_cast<float>(one * calibrated.by_sigma(sigma[c])) * kLength;
+        }
+        gradients[i].width.array() += d_width / 4.0;  // through the mean width
       }
     }
     std::vector<float> d_inputs(block.inputs.size()), d_shape(block.shape.size()), d_change(block.shape.size());
@@ -283,14 +287,16 @@ class EmdPrediction final : public Prediction {
         ShapeCotangent one;
         one.mean.resize(dim().vertices, 3);
         one.sigma.resize(has_sigma ? dim().vertices : 0, 3);
-        const Model::SigmaFactor calibration = sigma_factor(i, segments_[i][s]);
-        const float factor = calibration.value * kLength;
+        const Model::SigmaCalibration calibrated = calibration(i, segments_[i][s]);
+        const double* sigma = shapes_[i].empty() ? nullptr : shapes_[i][s].sigma.data();
         for (Index c = 0; c < n; ++c)
           one.mean.data()[c] = static_cast<double>(d_mean[at + static_cast<std::size_t>(c)] * kLength);
-        for (Index c = 0; c < one.sigma.size(); ++c)
-          one.sigma.data()[c] = static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * factor);
-        if (has_sigma && !shapes_[i].empty()) {
-          one.sigma += static_cast<double>(calibration.slope) * d_width * shapes_[i][s].sigma;
+        for (Index c = 0; c < one.sigma.size(); ++c) {
+          one.sigma.data()[c] =
+              sigma ? calibrated.by_sigma(sigma[c]) *
+                              static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * kLength) +
+                          calibrated.by_width(sigma[c]) * d_width
+                    : 0.0;  // the case has failed
         }
         at += static_cast<std::size_t>(n);
         result.push_back(std::move(one));

@@ -9,8 +9,9 @@
 namespace weft::emd {
 namespace {
 
-constexpr const char* kSchema = "weft emd model 2";
-constexpr const char* kOldSchema = "weft emd model 1";  // without /datasets, and with checksum_1
+constexpr const char* kSchema = "weft emd model 3";
+constexpr const char* kSchema2 = "weft emd model 2";  // without /calibration_added
+constexpr const char* kSchema1 = "weft emd model 1";  // without that and /datasets, and with checksum_1
 constexpr Index kMostDatasets = 1000;
 
 std::uint64_t mix(std::uint64_t hash, const void* data, std::size_t size) {
@@ -33,6 +34,7 @@ std::string checksum(const Model& m, const std::string& architecture) {
   const auto& d = m.dimensions;
   add(architecture, std::vector<std::int64_t>{d.vertices, d.controls, d.states, d.hands});
   add(m.weights, m.mean, m.basis, m.scale, m.input_mean, m.input_sd, m.calibration);
+  if (!m.calibration_added.empty()) add(m.calibration_added);
   add(m.garment_name, std::to_string(m.garment_hash), m.grasp_vertices);
   for (const auto* names : {&m.control_names, &m.state_names}) {
     for (const auto& name : *names) add(name);
@@ -124,11 +126,18 @@ Layout::Layout(const Architecture& a, const Dimensions& d) {
   sigma_bias = add("decoder.sigma_bias", 1, n);
 }
 
-Model::SigmaFactor Model::sigma_factor(Index steps, bool from_start, double mean_width) const {
+Model::SigmaCalibration Model::sigma_calibration(Index steps, bool from_start, double mean_width) const {
   const std::size_t length = calibration.size() / 4;
   const std::size_t at = (from_start ? 0 : 2 * length) + std::min(static_cast<std::size_t>(steps), length) - 1;
-  const float certain = std::log(calibration[at]), unknown = std::log(calibration[at + length]);
-  return {std::exp(certain + static_cast<float>(mean_width) * (unknown - certain)), unknown - certain};
+  SigmaCalibration c;
+  const double certain = std::log(calibration[at]), unknown = std::log(calibration[at + length]);
+  c.factor_slope = unknown - certain;
+  c.factor = std::exp(certain + mean_width * c.factor_slope);
+  if (calibration_added.empty()) return c;
+  const double unit = static_cast<double>(kLength), least = unit * static_cast<double>(calibration_added[at]);
+  c.added_slope = unit * static_cast<double>(calibration_added[at + length]) - least;
+  c.added = least + mean_width * c.added_slope;
+  return c;
 }
 
 void Model::describe_task(const Task& task) {
@@ -262,6 +271,7 @@ Model untrained_model(Architecture architecture, const Task& task, std::uint64_t
   for (int p = 0; p < 4; ++p) add(0.5, 0.29);
   for (int p = 0; p < 4; ++p) add(0.33, 0.3);
   m.calibration = {1.0f, 0.9f, 1.3f, 1.4f, 1.1f, 1.0f, 1.2f, 1.5f};  // any, so that tests see them
+  m.calibration_added = {0.0f, 0.01f, 0.02f, 0.05f, 0.0f, 0.0f, 0.03f, 0.02f};
   return m;
 }
 
@@ -307,6 +317,10 @@ void save_model(const std::filesystem::path& path, const Model& model, bool half
   vector("/normalisation/input_mean", stored.input_mean);
   vector("/normalisation/input_sd", stored.input_sd);
   file.write("/calibration", {2, 2, static_cast<Index>(stored.calibration.size() / 4)}, stored.calibration.data());
+  if (!stored.calibration_added.empty()) {
+    file.write("/calibration_added", {2, 2, static_cast<Index>(stored.calibration.size() / 4)},
+               stored.calibration_added.data());
+  }
   file.write("/checksum", checksum(stored, architecture));
   file.write("/garment/name", stored.garment_name);
   file.write("/garment/hash", std::to_string(stored.garment_hash));
@@ -347,8 +361,8 @@ Model load_model(const std::filesystem::path& path) {
   const auto refuse = [&](const std::string& reason) { throw ConfigError(path.string() + ": " + reason); };
   if (!file.has("/schema")) refuse("is no model of the predictor emd");
   const auto schema = file.read_text("/schema");
-  if (schema != kSchema && schema != kOldSchema) {
-    refuse("has the schema '" + schema + "', this program reads '" + kSchema + "' and '" + kOldSchema + "'");
+  if (schema != kSchema && schema != kSchema2 && schema != kSchema1) {
+    refuse("has the schema '" + schema + "', this program reads '" + kSchema1 + "' to '" + kSchema + "'");
   }
   Model m;
   const std::string architecture = file.read_text("/architecture");
@@ -396,6 +410,12 @@ Model load_model(const std::filesystem::path& path) {
   m.calibration = read("/calibration", steps);
   if (std::any_of(m.calibration.begin(), m.calibration.end(), [](float x) { return !(x > 1e-3f && x < 1e3f); }))
     refuse("/calibration must be in (0.001, 1000)");
+  if (file.has("/calibration_added")) {
+    m.calibration_added = read("/calibration_added", steps);
+    if (std::any_of(m.calibration_added.begin(), m.calibration_added.end(),
+                    [](float x) { return !(x >= 0.0f && x < 100.0f); }))
+      refuse("/calibration_added must be in [0, 100)");
+  }
   m.garment_name = file.read_text("/garment/name");
   const auto integer = [&](const std::string& name, const std::string& text) -> std::uint64_t {
     try {
@@ -455,7 +475,7 @@ Model load_model(const std::filesystem::path& path) {
   }
   m.provenance = file.read_text("/provenance");
   m.training = file.read_text("/training");
-  const std::string wanted = schema == kSchema ? checksum(m, architecture) : checksum_1(m);
+  const std::string wanted = schema == kSchema1 ? checksum_1(m) : checksum(m, architecture);
   if (wanted != file.read_text("/checksum")) refuse("is damaged: its content does not have the recorded checksum");
   return m;
 }

@@ -1,4 +1,6 @@
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -67,6 +69,8 @@ struct Model {
   /// [2, 2, steps]: factors on sigma after j segments (beyond the last: the last), from the start of a session or from
   /// within one, with exact knowledge and with none.
   std::vector<float> calibration;
+  /// The same shape, or empty for none: lengths added to sigma in quadrature before the factor, units of kLength.
+  std::vector<float> calibration_added;
 
   // What it was trained for.
   std::string garment_name;
@@ -83,13 +87,24 @@ struct Model {
 
   bool needs_basis() const { return architecture.pca_skip || architecture.previous_shape; }
   Index latent_size() const { return architecture.latent + architecture.memory; }
-  /// The factor on sigma after `steps` segments. Between exact knowledge and none its logarithm is linear in the mean
-  /// width.
-  struct SigmaFactor {
-    float value = 1.0f;
-    float slope = 0.0f;  ///< d log(value) / d (mean width)
+  /// Of sigma, all in m:  sigma' = factor sqrt(sigma^2 + added^2).
+  struct SigmaCalibration {
+    double factor = 1.0, factor_slope = 0.0;  ///< d log(factor) / d (mean width)
+    double added = 0.0, added_slope = 0.0;    ///< m, d added / d (mean width)
+
+    double operator()(double sigma) const { return factor * std::sqrt(sigma * sigma + added * added); }
+    /// d sigma' / d sigma, from sigma'.
+    double by_sigma(double calibrated) const {
+      const double r = calibrated / factor;
+      return factor * std::sqrt(std::max(0.0, r * r - added * added)) / r;
+    }
+    /// d sigma' / d (mean width), from sigma'.
+    double by_width(double calibrated) const {
+      return factor_slope * calibrated + factor * factor * added * added_slope / calibrated;
+    }
   };
-  SigmaFactor sigma_factor(Index steps, bool from_start, double mean_width) const;
+  /// After `steps` segments. Between exact knowledge and none, log(factor) and `added` are linear in the mean width.
+  SigmaCalibration sigma_calibration(Index steps, bool from_start, double mean_width) const;
   /// Takes names and geometry from a task.
   void describe_task(const Task& task);
   /// @throws ConfigError saying which of garment, trajectory, manipulation or material space differs, and both sides.
