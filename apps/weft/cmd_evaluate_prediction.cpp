@@ -49,6 +49,10 @@ int evaluate(Context& context, const std::string& file, const std::string& data)
   }
   if (result.failed > 0)
     given.host->log(LogLevel::warning, std::to_string(result.failed) + " cases could not be predicted");
+  if (result.shortened > 0)
+    given.host->log(LogLevel::warning, std::to_string(result.shortened) +
+                                           " cases are longer than the predictor's max_segments(): they count by step "
+                                           "up to there, and not as settled shapes");
   write_page(context, out);
   context.say("results in " + out.string());
   return 0;

@@ -197,7 +197,9 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
         one.shape = std::make_shared<const Positions>(dataset.shape(i, start));
         if (start > 0) one.previous = std::make_shared<const Positions>(dataset.shape(i, start - 1));
         one.state = e.states.row(start).transpose();
-        one.controls = e.controls.bottomRows(e.segments() - start);
+        const Index left = e.segments() - start, steps = std::min(left, predictor.max_segments().value_or(left));
+        result.shortened += steps < left;
+        one.controls = e.controls.middleRows(start, steps);
         one.knowledge = way.has_knowledge ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
         for (Index j = 1; j <= one.controls.rows(); ++j) one.segments.push_back(j);
         cases.push_back(std::move(one));
@@ -216,7 +218,8 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
         for (std::size_t j = 0; j < steps; ++j) {
           const Positions truth = dataset.shape(i, starts[b] + static_cast<Index>(j) + 1);
           by_step[j].add(prediction->shapes()[b][j], truth, static_cast<Index>(j) + 1);
-          if (j + 1 != steps || !dataset.examples[i].released) continue;
+          const bool at_end = starts[b] + static_cast<Index>(j) + 1 == dataset.examples[i].segments();
+          if (!at_end || !dataset.examples[i].released) continue;
           const ShapeDistribution& shape = prediction->shapes()[b][j];
           settled.add(shape, truth, static_cast<Index>(steps));
           if (way.settled != &result.from_start) continue;
@@ -278,6 +281,7 @@ std::string prediction_evaluation_json(const PredictionEvaluation& r) {
     json["cases"].push_back(
         {{"example", e.index}, {"segments", e.segments}, {"error_mm", e.error_mm}, {"sigma_mm", e.sigma_mm}});
   json["failed"] = r.failed;
+  json["shortened"] = r.shortened;
   json["predict_seconds"] = r.seconds;
   return json.dump(2) + "\n";
 }

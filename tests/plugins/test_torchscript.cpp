@@ -12,6 +12,7 @@
 #include "unit/test_support.hpp"
 #include "weft/conformance.hpp"
 #include "weft/planner.hpp"
+#include "weft/prediction_evaluation.hpp"
 #include "weft/session.hpp"
 #include "weft/task.hpp"
 
@@ -350,6 +351,38 @@ TEST_F(TorchScript, ASessionKeepsToWhatTheModuleTakes) {
   for (const std::size_t late : {3u, 4u})
     EXPECT_EQ(result.estimates[late].knowledge.centre, result.estimates[2].knowledge.centre);
   EXPECT_THAT(result.warnings, ::testing::Contains(HasSubstr("the predictor takes 3 segments")));
+}
+
+TEST_F(TorchScript, ExamplesThatAreLongerThanTheModuleTakesArePredictedToItsEnd) {
+  save_module(folder_ / "m.pt", kForward);
+  write_metadata("max_segments: 3\n");
+  Dataset data;
+  data.header.vertices = task_.garment->vertex_count();
+  data.header.test_fraction = 1.0;
+  for (const Index segments : {2, 3, 5}) {
+    Example e;
+    e.index = segments;
+    e.controls = task_.trajectory->default_controls(segments);
+    e.states.resize(segments + 1, static_cast<Index>(task_.trajectory->state().size()));
+    e.states.row(0) = task_.trajectory->initial_state(task_.manipulation).transpose();
+    for (Index j = 0; j < segments; ++j)
+      e.states.row(j + 1) =
+          task_.trajectory->segment(task_.manipulation, e.states.row(j).transpose(), e.controls.row(j).transpose())
+              .end_state.transpose();
+    for (Index j = 0; j <= segments; ++j) {
+      for (Index k = 0; k < task_.garment->positions.size(); ++k)
+        e.shapes.push_back(static_cast<float>(task_.garment->positions.data()[k]));
+    }
+    e.released = true;
+    data.examples.push_back(e);
+  }
+  PredictionEvaluationParams params;
+  params.baselines = false;
+  const PredictionEvaluation result = evaluate_prediction(*bound(), task_, data, params, 1, *host_);
+  EXPECT_EQ(result.by_step.size(), 3u);
+  EXPECT_EQ(result.by_step.back().n, 2);
+  EXPECT_EQ(result.from_start.n, 2);  // the settled shapes after 2 and 3 segments
+  EXPECT_GE(result.shortened, 2);     // from the start with knowledge and without
 }
 
 TEST_F(TorchScript, ANetworksCaseDoesNotSeeTheOtherRows) {
