@@ -32,10 +32,10 @@ struct PredictionEvaluation {
   std::vector<PredictionFigures> by_step, by_step_from_random, by_step_no_knowledge;
   std::map<std::string, PredictionFigures> baselines;  ///< settled shape; only n, mean_mm and median_mm
   Index failed = 0;                                    ///< cases that the predictor could not predict
-  Index shortened = 0;  ///< cases that go on beyond the predictor's max_segments(): not predicted to their end
-  double seconds = 0.0;                                ///< inside predict()
-  std::vector<PredictedExample> examples;              ///< those that from_start counts
-  std::vector<Positions> settled, predicted;           ///< of the first examples, for the page
+  Index shortened = 0;   ///< cases that go on beyond the predictor's max_segments(): not predicted to their end
+  double seconds = 0.0;  ///< inside predict()
+  std::vector<PredictedExample> examples;     ///< those that from_start counts
+  std::vector<Positions> settled, predicted;  ///< of the first examples, for the page
 };
 
 /// Measures a bound predictor on a split of a dataset: the paper's accuracy claims for its network, and more.

@@ -292,11 +292,11 @@ class EmdPrediction final : public Prediction {
         for (Index c = 0; c < n; ++c)
           one.mean.data()[c] = static_cast<double>(d_mean[at + static_cast<std::size_t>(c)] * kLength);
         for (Index c = 0; c < one.sigma.size(); ++c) {
-          one.sigma.data()[c] =
-              sigma ? calibrated.by_sigma(sigma[c]) *
-                              static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * kLength) +
-                          calibrated.by_width(sigma[c]) * d_width
-                    : 0.0;  // the case has failed
+          one.sigma.data()[c] = sigma
+                                    ? calibrated.by_sigma(sigma[c]) *
+                                              static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * kLength) +
+                                          calibrated.by_width(sigma[c]) * d_width
+                                    : 0.0;  // the case has failed
         }
         at += static_cast<std::size_t>(n);
         result.push_back(std::move(one));

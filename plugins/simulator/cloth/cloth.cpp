@@ -451,7 +451,8 @@ void Cloth::rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, 
   const double normal = (allowed - v.z) / dt - a.z;                 // m/s^2
   if (normal <= 0.0) return;
   v.z = allowed, a.z = 0.0, free.z = 0.0f;
-  const double grip = fabric_.friction * normal, speed = std::sqrt(v.x * v.x + v.y * v.y), pull = std::sqrt(a.x * a.x + a.y * a.y);
+  const double grip = fabric_.friction * normal, speed = std::sqrt(v.x * v.x + v.y * v.y),
+               pull = std::sqrt(a.x * a.x + a.y * a.y);
   const double brake = std::min(grip, speed / dt), hold = grip - brake;
   if (pull <= hold) {
     v.x = v.y = a.x = a.y = 0.0, free.x = free.y = 0.0f;

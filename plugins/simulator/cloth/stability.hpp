@@ -25,9 +25,9 @@ Spectrum largest_frequencies(const Elements& elements, const std::vector<double>
 ///     along = dt^2/4 (membrane + bending) + dt/2 membrane stretch_damping
 ///     across = dt^2/4 bending + dt/2 bending bend_damping
 /// with stiffness-proportional damping, s. [for one mode: dt^2 lambda/4 + dt beta lambda/2 <= 1 from the characteristic
-/// polynomial of the step.] In every element the membrane's forces lie in its plane and the damping of bending along its
-/// normal, so a velocity gives to one what it takes from the other: in flat cloth the larger alone is the bound. Where
-/// normals differ from element to element they share a velocity; 0.3 is more than was measured in folded cloth.
+/// polynomial of the step.] In every element the membrane's forces lie in its plane and the damping of bending along
+/// its normal, so a velocity gives to one what it takes from the other: in flat cloth the larger alone is the bound.
+/// Where normals differ from element to element they share a velocity; 0.3 is more than was measured in folded cloth.
 double stable_step(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double safety);
 
 /// Part (<= 1) of the stiffness-proportional damping with which stable_step() is still `least_step` of its undamped
