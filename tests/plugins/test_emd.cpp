@@ -12,6 +12,7 @@
 #include <string_view>
 #include <thread>
 
+#include "predictor/emd/calibration.hpp"
 #include "predictor/emd/emd.hpp"
 #include "predictor/emd/sampling.hpp"
 #include "predictor/emd/training.hpp"
@@ -700,6 +701,62 @@ TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
     still += mean_distance_mm(*one.shape, truth);
   }
   EXPECT_LT(error, 0.4 * still);
+}
+
+/// Shapes of 900 coordinates, two thirds with a sigma of 5 mm and one third, which lies on the ground, with 0.4 mm.
+/// @param truth what the errors are to sigma. @param buckles share of the shapes where a twentieth of the ground stands
+/// 8 mm off.
+struct DrawnErrors {
+  DrawnErrors(double truth, double buckles) {
+    RandomStream random(17, 1);
+    for (int shape = 0; shape < 500; ++shape) {
+      const bool buckle = random.uniform() < buckles;
+      for (Index c = 0; c < kCoordinates; ++c) {
+        const bool ground = c % 3 == 2;
+        const double s = ground ? 0.4e-3 : 5e-3;
+        sigma.push_back(static_cast<float>(s) / kLength);
+        const double e = buckle && ground && c % 60 == 2 ? 8e-3 : truth * s * random.normal();
+        error.push_back(static_cast<float>(e) / kLength);
+      }
+      tally.add(&error[error.size() - kCoordinates], &sigma[sigma.size() - kCoordinates], kCoordinates);
+    }
+  }
+  /// Mean normalised squared error and share within one sigma.
+  std::pair<double, double> rate(const SigmaTally::Choice& choice) const {
+    double square = 0.0, inside = 0.0;
+    for (std::size_t k = 0; k < error.size(); ++k) {
+      const double z = std::abs(error[k]) / (choice.factor * std::hypot(sigma[k], choice.added));
+      square += z * z;
+      inside += z < 1.0;
+    }
+    return {square / static_cast<double>(error.size()), inside / static_cast<double>(error.size())};
+  }
+  static constexpr Index kCoordinates = 900;
+  std::vector<float> error, sigma;
+  SigmaTally tally;
+};
+
+TEST(EmdCalibration, NormalErrorsGetTheirFactorAlone) {
+  for (const double truth : {0.7, 1.0, 1.6}) {
+    const SigmaTally::Choice choice = DrawnErrors(truth, 0.0).tally.choose();
+    EXPECT_NEAR(choice.factor, truth, 0.04 * truth);
+    EXPECT_EQ(choice.added, 0.0f);
+  }
+}
+
+TEST(EmdCalibration, TailsThatNoFactorMendsAreTakenByALength) {
+  const DrawnErrors drawn(1.0, 0.1);
+  const SigmaTally::Choice choice = drawn.tally.choose();
+  EXPECT_GT(choice.added, 0.0f);
+  const auto [nse, coverage] = drawn.rate(choice);
+  EXPECT_GT(nse, 0.8);
+  EXPECT_LT(nse, 1.25);
+  EXPECT_GT(coverage, 0.62);
+  EXPECT_LT(coverage, 0.74);
+  for (float factor = 0.8f; factor < 2.0f; factor *= 1.05f) {
+    const auto [square, inside] = drawn.rate({factor, 0.0f});
+    EXPECT_TRUE(square > 1.25 || inside > 0.74) << factor << ": " << square << ", " << inside;
+  }
 }
 
 // Fitted to few examples sigma is too small for others; the factors from the validation split mend that on the test

@@ -15,6 +15,7 @@
 #include <numeric>
 #include <optional>
 
+#include "calibration.hpp"
 #include "inputs.hpp"
 #include "network.hpp"
 #include "sampling.hpp"
@@ -778,55 +779,13 @@ class Fit {
     r.json = json.dump(2) + "\n";
   }
 
-  /// What is added to sigma, and the factor on it, from the validation split: per number of segments, from the flat
-  /// start and from elsewhere, with exact knowledge and with none. Errors have heavier tails than a normal distribution
-  /// of this sigma: where cloth nearly always lies still, now and then a buckle stands. A factor alone cannot bring
-  /// both the mean normalised squared error to 1 and the share within one sigma to 0.683; a length added in quadrature
-  /// takes those tails, and widens what is certain by little.
+  /// From the validation split, per number of segments, from the flat start and from elsewhere, with exact knowledge
+  /// and with none.
   void calibrate() {
     model_.calibration.assign(4, 1.0f);
     model_.calibration_added.clear();
     if (!t_.calibrate) return;
-    static constexpr int kFactors = 49, kStarts = 4;
-    constexpr double kWithin = 0.6;
-    static constexpr std::array<double, 7> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3};  // m
-    const double first = std::log(0.4), spacing = std::log(6.25) / (kFactors - 1);  // factors from 0.4 to 2.5
-    struct Tally {
-      double shapes = 0.0;
-      /// Sums over shapes of the mean squared error over sigma^2 + added^2, of its square, and of the mean logarithm.
-      std::array<double, kAdded.size()> square{}, fourth{}, log_sigma{};
-      /// Share of the coordinates with |error| < factor sqrt(sigma^2 + added^2).
-      std::array<std::array<double, kFactors>, kAdded.size()> inside{};
-      void add(const Tally& t) {
-        shapes += t.shapes;
-        for (std::size_t a = 0; a < kAdded.size(); ++a) {
-          square[a] += t.square[a];
-          fourth[a] += t.fourth[a];
-          log_sigma[a] += t.log_sigma[a];
-          for (std::size_t f = 0; f < kFactors; ++f) inside[a][f] += t.inside[a][f];
-        }
-      }
-    };
-    const auto tally = [&](const float* error, const float* sigma, Index n) {
-      Tally t;
-      t.shapes = 1.0;
-      for (std::size_t a = 0; a < kAdded.size(); ++a) {
-        const auto added = static_cast<float>(kAdded[a]) / kLength;
-        for (Index c = 0; c < n; ++c) {
-          const float variance = sigma[c] * sigma[c] + added * added, ratio = error[c] * error[c] / variance;
-          t.square[a] += static_cast<double>(ratio);
-          t.log_sigma[a] += 0.5 * static_cast<double>(std::log(variance));
-          const double at = (0.5 * static_cast<double>(std::log(ratio + 1e-12f)) - first) / spacing;
-          if (at < kFactors - 1) ++t.inside[a][static_cast<std::size_t>(std::max(0.0, std::floor(at) + 1.0))];
-        }
-        double sum = 0.0;
-        for (double& share : t.inside[a]) share = (sum += share) / static_cast<double>(n);
-        t.square[a] /= static_cast<double>(n);
-        t.fourth[a] = t.square[a] * t.square[a];
-        t.log_sigma[a] /= static_cast<double>(n);
-      }
-      return t;
-    };
+    constexpr int kStarts = 4;
     const Graph graph(model_, best_weights_.data(), nullptr);
     const RandomStream streams(job_.options.seed, 0x63616c6962ull);
     // Further datasets of a fit are of other distributions; what is predicted is of the first one's.
@@ -852,10 +811,10 @@ class Fit {
             all[i >= of_first].push_back(s);
           }
         }
-        std::vector<Tally> steps[2];
+        std::vector<SigmaTally> steps[2];
         for (int other = 0; other < 2; ++other) {
           const auto batches = in_batches(all[other]);
-          std::vector<std::vector<Tally>> parts(batches.size());
+          std::vector<std::vector<SigmaTally>> parts(batches.size());
           side_by_side(batches.size(), [&](std::size_t b) {
             const at::NoGradGuard guard;
             const auto& batch = batches[b];
@@ -865,8 +824,8 @@ class Fit {
             parts[b].resize(batch.running.size());
             for (std::size_t w = 0; w < batch.wanted.size(); ++w) {
               const auto at = static_cast<Index>(w) * n;
-              parts[b][static_cast<std::size_t>(batch.wanted[w].step) - 1].add(
-                  tally(error.data_ptr<float>() + at, sigma.data_ptr<float>() + at, n));
+              parts[b][static_cast<std::size_t>(batch.wanted[w].step) - 1].add(error.data_ptr<float>() + at,
+                                                                               sigma.data_ptr<float>() + at, n);
             }
           });
           for (const auto& part : parts) {
@@ -878,9 +837,9 @@ class Fit {
         // its neighbours.
         const double enough = std::clamp(0.5 * static_cast<double>(all[0].size() + all[1].size()), 100.0, 400.0);
         const auto around = [&](std::size_t j) {
-          Tally sum = steps[0][j];
-          if (sum.shapes < enough) sum.add(steps[1][j]);
-          for (std::size_t reach = 1; sum.shapes < enough && reach < steps[0].size(); ++reach) {
+          SigmaTally sum = steps[0][j];
+          if (sum.shapes() < enough) sum.add(steps[1][j]);
+          for (std::size_t reach = 1; sum.shapes() < enough && reach < steps[0].size(); ++reach) {
             for (const auto& of : steps) {
               if (reach <= j) sum.add(of[j - reach]);
               if (j + reach < of.size()) sum.add(of[j + reach]);
@@ -891,31 +850,9 @@ class Fit {
         auto& factor_curve = factors.emplace_back();
         auto& added_curve = added.emplace_back();
         for (std::size_t j = 0; j < steps[0].size(); ++j) {
-          const Tally seen = around(j);
-          double best = 1.0, best_added = 0.0, least = std::numeric_limits<double>::infinity();
-          for (std::size_t a = 0; a < kAdded.size(); ++a) {
-            const double mean = seen.square[a] / seen.shapes;
-            const double variance = std::max(0.0, seen.fourth[a] / seen.shapes - mean * mean);
-            // Most samples of a distribution with such tails have less than their share of them: one standard error.
-            const double expected = mean + std::sqrt(variance / seen.shapes);
-            for (int f = 0; f < kFactors; ++f) {
-              const double factor = std::exp(first + f * spacing), square = factor * factor;
-              const double coverage = seen.inside[a][static_cast<std::size_t>(f)] / seen.shapes;
-              const double off =
-                  std::max(std::abs(std::log(expected / square)) / std::log(1.25), std::abs(coverage - 0.68) / 0.06);
-              // The most likely of those that are well within the bounds of 0.8 to 1.25 and 0.62 to 0.74; if there is
-              // none, the one that is least outside.
-              const double loss = seen.log_sigma[a] / seen.shapes + std::log(factor) + 0.5 * mean / square;
-              const double rank = off < kWithin ? loss : 1e6 * off;
-              if (rank < least) {
-                least = rank;
-                best = factor;
-                best_added = kAdded[a] / static_cast<double>(kLength);
-              }
-            }
-          }
-          factor_curve.push_back(static_cast<float>(best));
-          added_curve.push_back(static_cast<float>(best_added));
+          const SigmaTally::Choice choice = around(j).choose();
+          factor_curve.push_back(choice.factor);
+          added_curve.push_back(choice.added);
         }
         longest = std::max(longest, factor_curve.size());
       }
