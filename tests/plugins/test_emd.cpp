@@ -651,6 +651,7 @@ TEST(EmdSampling, SharesOfKnowledgeStartsAndShapesAreThoseAskedFor) {
   for (std::size_t j = 1; j < 6; ++j) expect_share(decoded[j], 2.0 / 5.0, long_ones);  // besides the last, 2 of 5
 }
 
+#if WEFT_HAS_TORCH
 Params small_and_quick() {
   Params params;
   params.architecture = small();
@@ -658,7 +659,6 @@ Params small_and_quick() {
   return params;
 }
 
-#if WEFT_HAS_TORCH
 TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
   const Folder folder;
   const Task task = patch_task();

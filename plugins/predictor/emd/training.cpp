@@ -788,7 +788,8 @@ class Fit {
     constexpr int kStarts = 4;
     const Graph graph(model_, best_weights_.data(), nullptr);
     const RandomStream streams(job_.options.seed, 0x63616c6962ull);
-    // Further datasets of a fit are of other distributions; what is predicted is of the first one's.
+    // Further datasets of a fit are of other distributions; what is predicted is of the first one's. Within each,
+    // indices ascend.
     const auto& examples = job_.dataset.examples;
     const auto second = std::adjacent_find(examples.begin(), examples.end(),
                                            [](const auto& a, const auto& b) { return b.index <= a.index; });

@@ -21,7 +21,7 @@ struct Params {
       "Most substeps per frame; a fabric that needs more at `step_safety` ends as diverged instead of running "
       "forever.");
     v("step_safety", step_safety, range(0.1, 0.95), "Substep as a part of the explicit stability limit.");
-    v("damping_least_step", damping_least_step, range(0.0, 1.0),
+    v("damping_least_step", damping_least_step, range(0.0, 0.95),
       "Stiffness-proportional damping may shorten the substep to this part of the undamped one; what would shorten it "
       "more is damped less. 0: damping as the fabric has it, whatever it takes.");
     v("inertia_length_m", inertia_length_m, range(0.0, 0.1, "m"),
