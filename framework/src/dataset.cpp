@@ -93,6 +93,15 @@ std::string example_fingerprint(const Example& e) {
   return to_columns(one).checksum();
 }
 
+/// Whether an example of a dataset is one of Dataset::unseen().
+bool is_unseen(const DatasetOrigin& own, std::int64_t index, const std::vector<DatasetOrigin>& trained_on) {
+  const Split split = own.split(index);
+  if (trained_on.empty()) return split == Split::validation;
+  return split != Split::test && std::all_of(trained_on.begin(), trained_on.end(), [&](const auto& origin) {
+           return origin.seed != own.seed || origin.split(index) == Split::validation;
+         });
+}
+
 }  // namespace
 
 Split split_named(const std::string& name) {
@@ -324,13 +333,21 @@ void Dataset::append(Dataset other) {
   // An example's split goes by its number alone.
   if (h.validation_fraction != header.validation_fraction || h.test_fraction != header.test_fraction)
     fail("data.validation_fraction or data.test_fraction differ");
+  if (appended.empty()) begins = {0};
   appended = origins();
   for (auto& origin : other.origins()) appended.push_back(std::move(origin));
+  if (other.appended.empty()) other.begins = {0};
+  for (const std::size_t begin : other.begins) begins.push_back(examples.size() + begin);
   Fingerprint f;
   f.add(header.identity);
   f.add(h.identity);
   header.identity = f.hex();
   std::move(other.examples.begin(), other.examples.end(), std::back_inserter(examples));
+}
+
+std::size_t Dataset::source(std::size_t example) const {
+  if (begins.empty()) return 0;
+  return static_cast<std::size_t>(std::upper_bound(begins.begin(), begins.end(), example) - begins.begin()) - 1;
 }
 
 std::vector<std::size_t> Dataset::select(Split split) const {
@@ -341,29 +358,54 @@ std::vector<std::size_t> Dataset::select(Split split) const {
   return chosen;
 }
 
-std::string Dataset::held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on) const {
-  if (trained_on.empty()) return {};
+std::vector<std::size_t> Dataset::unseen(const std::vector<DatasetOrigin>& trained_on) const {
+  const auto all = origins();
+  std::vector<std::size_t> chosen;
+  for (std::size_t i = 0; i < examples.size(); ++i) {
+    if (!examples[i].failed() && is_unseen(all[source(i)], examples[i].index, trained_on)) chosen.push_back(i);
+  }
+  return chosen;
+}
+
+std::string Dataset::held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on,
+                                      const std::vector<DatasetOrigin>& calibrated_on) const {
   const auto chosen = select(split);
   const std::string name = kSplitNames[static_cast<std::size_t>(split)];
+  const auto count_of = [&](const auto& is_counted) {
+    return std::count_if(chosen.begin(), chosen.end(), [&](std::size_t i) { return is_counted(examples[i].index); });
+  };
+  const auto some = [&](std::ptrdiff_t count) {
+    return std::to_string(count) + " of the " + std::to_string(chosen.size()) + " examples of the " + name + " split ";
+  };
+  std::string text;
   if (split == Split::train) {
     const bool is_known = std::any_of(trained_on.begin(), trained_on.end(),
                                       [&](const auto& origin) { return origin.identity == header.identity; });
-    return is_known ? ""
-                    : "the model was not trained on dataset " + header.identity + ": its " + name +
-                          " split holds no training examples of this model";
-  }
-  // Equal numbers of one seed are, whatever else the configs say, much the same example.
-  const auto was_used = [&](std::size_t i) {
-    return std::any_of(trained_on.begin(), trained_on.end(), [&](const auto& origin) {
-      return origin.seed == header.seed && origin.split(examples[i].index) < split;  // train < validation < test
+    if (!is_known && !trained_on.empty()) {
+      text = "the model was not trained on dataset " + header.identity + ": its " + name +
+             " split holds no training examples of this model";
+    }
+  } else {
+    // Equal numbers of one seed are, whatever else the configs say, much the same example.
+    const auto count = count_of([&](std::int64_t index) {
+      return std::any_of(trained_on.begin(), trained_on.end(), [&](const auto& origin) {
+        return origin.seed == header.seed && origin.split(index) < split;  // train < validation < test
+      });
     });
-  };
-  const auto count = std::count_if(chosen.begin(), chosen.end(), was_used);
-  if (count == 0) return {};
-  return std::to_string(count) + " of the " + std::to_string(chosen.size()) + " examples of the " + name +
-         " split may not be held out: they were in the " + (split == Split::test ? "train or validation" : "train") +
-         " split of a dataset of the same seed that the model was trained on, whose data.validation_fraction or "
-         "data.test_fraction differ";
+    if (count > 0) {
+      text = some(count) + "may not be held out: they were in the " +
+             (split == Split::test ? "train or validation" : "train") +
+             " split of a dataset of the same seed that the model was trained on, whose data.validation_fraction or "
+             "data.test_fraction differ";
+    }
+  }
+  const auto count = count_of([&](std::int64_t index) {
+    return std::any_of(calibrated_on.begin(), calibrated_on.end(), [&](const auto& origin) {
+      return origin.seed == header.seed && is_unseen(origin, index, trained_on);
+    });
+  });
+  if (count > 0) text += (text.empty() ? "" : "; ") + some(count) + "may be those that its sigma was calibrated on";
+  return text;
 }
 
 Positions Dataset::shape(std::size_t example, Index segment) const {

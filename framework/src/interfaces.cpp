@@ -2,6 +2,7 @@
 #include "weft/optimiser.hpp"
 #include "weft/predictor.hpp"
 #include "weft/simulator.hpp"
+#include "weft/trainable.hpp"
 #include "weft/trajectory.hpp"
 
 namespace weft {
@@ -16,6 +17,11 @@ void Simulator::restore(const SimulatorSnapshot&) {
 std::vector<std::vector<std::vector<ShapeCotangent>>> Prediction::jvp(
     const std::vector<std::vector<CaseDirection>>&) const {
   throw Unsupported("this predictor has no directional derivatives (capability jvp)");
+}
+
+CalibrationReport TrainablePredictor::calibrate(const Dataset&, const std::vector<std::size_t>&, const Task&,
+                                                const CalibrationOptions&) {
+  throw ConfigError("this predictor cannot calibrate a model that is trained already");
 }
 
 Controls Trajectory::default_controls(Index horizon) const {

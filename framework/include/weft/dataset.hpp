@@ -93,9 +93,12 @@ struct Dataset {
   DatasetHeader header;
   std::vector<Example> examples;
   std::vector<DatasetOrigin> appended;  ///< after append(): all that it was put together from, the first one included
+  std::vector<std::size_t> begins;      ///< after append(): position of the first example of each of these
 
   /// The datasets that the examples come from: one, or all that were appended.
   std::vector<DatasetOrigin> origins() const { return appended.empty() ? std::vector{header.origin()} : appended; }
+  /// Which of origins() an example comes from. @param example position in `examples`.
+  WEFT_API std::size_t source(std::size_t example) const;
   /// Reads and checks every shard of a folder.
   /// @param max_examples stop after that many; 0: all.
   /// @throws ConfigError for a damaged shard (refused whole), shards of different datasets, or a folder without shards.
@@ -106,10 +109,17 @@ struct Dataset {
   WEFT_API void append(Dataset other);
   /// Positions in `examples` of the good ones of a split.
   WEFT_API std::vector<std::size_t> select(Split split) const;
+  /// Positions in `examples` of the good ones that the fit of a model, which was trained on these datasets, has not
+  /// seen, and that no test is to be made with: of a dataset that it knows the validation split, of others the train
+  /// and the validation split. Equal numbers of one seed count as the same example, see held_out_warning(). When
+  /// nothing is known of the fit, `trained_on` is empty: the validation split, for any dataset may have been trained
+  /// on.
+  WEFT_API std::vector<std::size_t> unseen(const std::vector<DatasetOrigin>& trained_on) const;
   /// Why the examples of a split may not be what its name says, to a model that was trained on these datasets: some
-  /// were in an earlier split then, or, for the split train, none was. Empty: no reason is known, as when `trained_on`
-  /// is.
-  WEFT_API std::string held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on) const;
+  /// were in an earlier split then, or, for the split train, none was; or its sigma was calibrated on some of them
+  /// afterwards. Empty: no reason is known, as when `trained_on` is.
+  WEFT_API std::string held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on,
+                                        const std::vector<DatasetOrigin>& calibrated_on = {}) const;
   WEFT_API Positions shape(std::size_t example, Index segment) const;  ///< [V, 3] m
   /// @throws ConfigError with the reason when the examples were not made for this task's garment, trajectory or
   /// manipulation.

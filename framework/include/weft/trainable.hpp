@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <functional>
 #include <string>
+#include <vector>
 
 #include "weft/dataset.hpp"
 
@@ -36,8 +37,27 @@ struct FitReport {
   std::string json;  ///< training.json: settings, curves, what stopped it
 };
 
+struct CalibrationOptions {
+  std::uint64_t seed = 0;
+  std::filesystem::path model;  ///< where the model is written with its new calibration; whole or absent
+};
+
+/// What was found for predictions of one kind: sigma' = factor sqrt(sigma^2 + added^2), by the number of segments.
+struct CalibrationRow {
+  bool from_start = true;  ///< from the start of a session, or from within one
+  bool is_known = true;    ///< material known exactly, or not at all
+  std::int64_t predictions = 0;
+  std::vector<std::int64_t> shapes;     ///< [segments] shapes of the first dataset that were compared
+  std::vector<double> factor, added_m;  ///< [segments]; m
+};
+
+struct CalibrationReport {
+  std::int64_t examples = 0;
+  std::vector<CalibrationRow> rows;
+};
+
 /// A predictor that learns from examples. Reached through Predictor::trainable(): RTTI does not reach across plugins.
-class TrainablePredictor {
+class WEFT_API TrainablePredictor {
  public:
   virtual ~TrainablePredictor() = default;
   /// Fits the predictor to the train split, steered by the validation split; afterwards it holds the best model.
@@ -50,6 +70,15 @@ class TrainablePredictor {
   virtual void load(const std::filesystem::path& file) = 0;
   /// The datasets that the model it holds was fitted to; empty when there is none, or it does not say.
   virtual std::vector<DatasetOrigin> trained_on() const { return {}; }
+  /// Keeps the model that it holds and finds anew how wide its sigma must be, on these examples alone. What is found is
+  /// to hold for the first of the datasets; the others help out where it has too few shapes. Writes the model to
+  /// options.model and holds it afterwards.
+  /// @param examples positions in dataset.examples, ascending; as of Dataset::unseen(trained_on()).
+  /// @throws ConfigError when this predictor cannot do that, holds no model, or data and task do not fit; Unsupported.
+  virtual CalibrationReport calibrate(const Dataset& dataset, const std::vector<std::size_t>& examples,
+                                      const Task& task, const CalibrationOptions& options);
+  /// The datasets of the last calibrate() of the model it holds; empty when its calibration is the fit's own.
+  virtual std::vector<DatasetOrigin> calibrated_on() const { return {}; }
 };
 
 }  // namespace weft
