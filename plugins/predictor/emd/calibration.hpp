@@ -3,8 +3,10 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "model.hpp"
+#include "weft/trainable.hpp"
 
 namespace weft::emd {
 
@@ -79,7 +81,7 @@ class SigmaTally {
  private:
   static constexpr std::size_t kFactors = 49;
   static constexpr double kLeast = 0.4, kMost = 2.5;
-  static constexpr std::array<double, 7> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3};  // m
+  static constexpr std::array<double, 8> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3, 4.0e-3};  // m
   static constexpr double kWithin = 0.6;  // of the bounds
   static double spacing() { return std::log(kMost / kLeast) / static_cast<double>(kFactors - 1); }
 
@@ -89,5 +91,14 @@ class SigmaTally {
   /// Share of the coordinates with |error| < factor sqrt(sigma^2 + added^2).
   std::array<std::array<double, kFactors>, kAdded.size()> inside_{};
 };
+
+class Passes;
+
+/// Finds the model's calibration on these examples: per number of segments, from the start of a session and from within
+/// one, with exact knowledge and with none. What is found is for the first dataset; the others help out where it has
+/// few shapes.
+/// @param weights what sigma is predicted with; the model's own may be older ones.
+std::vector<CalibrationRow> find_calibration(Passes& passes, Model& model, const std::vector<float>& weights,
+                                             const std::vector<std::size_t>& examples, std::uint64_t seed);
 
 }  // namespace weft::emd

@@ -401,6 +401,32 @@ std::vector<DatasetOrigin> EmdPredictor::trained_on() const {
   return model_ ? model_->datasets : std::vector<DatasetOrigin>();
 }
 
+CalibrationReport EmdPredictor::calibrate(const Dataset& dataset, const std::vector<std::size_t>& examples,
+                                          const Task& task, const CalibrationOptions& options) {
+  if (!model_) bind(task);
+  if (model_->dataset.empty()) throw ConfigError("emd: a network of random weights has nothing to calibrate");
+  model_->require_task(task, params_.other_fabric == "warn");
+  dataset.require_task(task);
+  if (examples.empty()) throw ConfigError("emd: there is no example to calibrate with");
+  for (const std::size_t i : examples) {
+    if (i >= dataset.examples.size() || dataset.examples[i].failed())
+      throw ShapeError("emd: the dataset has no good example at position " + std::to_string(i));
+  }
+  const auto run = reinterpret_cast<CalibrationFunction>(training_function("weft_emd_calibrate"));
+  CalibrationJob job{dataset, examples, options.seed, host_, *model_, {}};
+  run(job);
+  job.model.calibrated = dataset.origins();
+  // In the precision it came in: what was stored as halves is whole as halves.
+  if (!options.model.empty()) save_model(options.model, job.model, fits_half(job.model));
+  model_ = std::make_shared<const Model>(std::move(job.model));
+  bound_.reset();
+  return {static_cast<std::int64_t>(examples.size()), std::move(job.rows)};
+}
+
+std::vector<DatasetOrigin> EmdPredictor::calibrated_on() const {
+  return model_ ? model_->calibrated : std::vector<DatasetOrigin>();
+}
+
 void EmdPredictor::load(const std::filesystem::path& file) { model_ = std::make_shared<const Model>(load_model(file)); }
 
 }  // namespace weft::emd

@@ -28,6 +28,9 @@ class EmdPredictor final : public Predictor, public TrainablePredictor {
   void save(const std::filesystem::path& file) const override;
   void load(const std::filesystem::path& file) override;
   std::vector<DatasetOrigin> trained_on() const override;
+  CalibrationReport calibrate(const Dataset& dataset, const std::vector<std::size_t>& examples, const Task& task,
+                              const CalibrationOptions& options) override;
+  std::vector<DatasetOrigin> calibrated_on() const override;
 
   /// What predictions share and keep alive.
   struct Bound {

@@ -9,9 +9,10 @@
 namespace weft::emd {
 namespace {
 
-constexpr const char* kSchema = "weft emd model 3";
-constexpr const char* kSchema2 = "weft emd model 2";  // without /calibration_added
-constexpr const char* kSchema1 = "weft emd model 1";  // without that and /datasets, and with checksum_1
+constexpr const char* kSchema = "weft emd model 4";
+constexpr const char* kSchema3 = "weft emd model 3";  // without /calibration_datasets
+constexpr const char* kSchema2 = "weft emd model 2";  // without that and /calibration_added
+constexpr const char* kSchema1 = "weft emd model 1";  // without these and /datasets, and with checksum_1
 constexpr Index kMostDatasets = 1000;
 
 std::uint64_t mix(std::uint64_t hash, const void* data, std::size_t size) {
@@ -41,9 +42,14 @@ std::string checksum(const Model& m, const std::string& architecture) {
   }
   add(m.control_low, m.control_high, m.initial_state, m.initial_targets, m.displacement);
   add(std::vector<double>{m.drop_height, m.contact_height}, m.material, m.dataset, m.provenance, m.training);
-  for (const auto& one : m.datasets) {
-    add(one.identity, std::to_string(one.seed), std::vector<double>{one.validation_fraction, one.test_fraction});
-  }
+  const auto add_datasets = [&](const std::vector<DatasetOrigin>& datasets) {
+    for (const auto& one : datasets) {
+      add(one.identity, std::to_string(one.seed), std::vector<double>{one.validation_fraction, one.test_fraction});
+    }
+  };
+  add_datasets(m.datasets);
+  if (!m.calibrated.empty()) add(std::string("calibrated"));  // so that none moves from one list to the other
+  add_datasets(m.calibrated);
   return std::to_string(hash);
 }
 /// What the old schema had: of the network alone.
@@ -285,6 +291,13 @@ float round_to_half(float value) {
   return std::copysign(std::nearbyint(size / step) * step, value);
 }
 
+bool fits_half(const Model& model) {
+  const auto fits = [](const std::vector<float>& v) {
+    return std::all_of(v.begin(), v.end(), [](float x) { return round_to_half(x) == x; });
+  };
+  return fits(model.weights) && fits(model.basis);
+}
+
 void save_model(const std::filesystem::path& path, const Model& model, bool half_precision) {
   Model stored = model;
   if (half_precision) {
@@ -339,18 +352,21 @@ void save_model(const std::filesystem::path& path, const Model& model, bool half
   numbers("/manipulation/heights", {stored.drop_height, stored.contact_height});
   file.write("/material", stored.material);
   file.write("/dataset", stored.dataset);
-  if (!stored.datasets.empty()) {
+  const auto origins = [&](const std::string& group, const std::vector<DatasetOrigin>& datasets) {
+    if (datasets.empty()) return;
     std::vector<std::string> identities, seeds;
     std::vector<double> fractions;
-    for (const auto& one : stored.datasets) {
+    for (const auto& one : datasets) {
       identities.push_back(one.identity);
       seeds.push_back(std::to_string(one.seed));
       fractions.insert(fractions.end(), {one.validation_fraction, one.test_fraction});
     }
-    file.write("/datasets/identities", join(identities));
-    file.write("/datasets/seeds", join(seeds));
-    file.write("/datasets/split_fractions", {static_cast<Index>(seeds.size()), 2}, fractions.data());
-  }
+    file.write(group + "/identities", join(identities));
+    file.write(group + "/seeds", join(seeds));
+    file.write(group + "/split_fractions", {static_cast<Index>(seeds.size()), 2}, fractions.data());
+  };
+  origins("/datasets", stored.datasets);
+  origins("/calibration_datasets", stored.calibrated);
   file.write("/provenance", stored.provenance);
   file.write("/training", stored.training);
   file.commit();
@@ -361,7 +377,7 @@ Model load_model(const std::filesystem::path& path) {
   const auto refuse = [&](const std::string& reason) { throw ConfigError(path.string() + ": " + reason); };
   if (!file.has("/schema")) refuse("is no model of the predictor emd");
   const auto schema = file.read_text("/schema");
-  if (schema != kSchema && schema != kSchema2 && schema != kSchema1) {
+  if (schema != kSchema && schema != kSchema3 && schema != kSchema2 && schema != kSchema1) {
     refuse("has the schema '" + schema + "', this program reads '" + kSchema1 + "' to '" + kSchema + "'");
   }
   Model m;
@@ -463,16 +479,21 @@ Model load_model(const std::filesystem::path& path) {
   m.contact_height = heights[1];
   m.material = file.read_text("/material");
   m.dataset = file.read_text("/dataset");
-  if (file.has("/datasets/split_fractions")) {
-    const auto shape = file.shape("/datasets/split_fractions");
+  const auto origins = [&](const std::string& group) {
+    std::vector<DatasetOrigin> datasets;
+    const std::string name = group + "/split_fractions";
+    if (!file.has(name)) return datasets;
+    const auto shape = file.shape(name);
     if (shape.size() != 2 || shape[0] < 1 || shape[0] > kMostDatasets || shape[1] != 2)
-      refuse("/datasets/split_fractions must have the shape [n, 2]");
-    const auto identities = words("/datasets/identities", shape[0]), seeds = words("/datasets/seeds", shape[0]);
-    const auto fractions = numbers("/datasets/split_fractions", 2 * shape[0]);
+      refuse(name + " must have the shape [n, 2]");
+    const auto identities = words(group + "/identities", shape[0]), seeds = words(group + "/seeds", shape[0]);
+    const auto fractions = numbers(name, 2 * shape[0]);
     for (std::size_t i = 0; i < seeds.size(); ++i)
-      m.datasets.push_back(
-          {identities[i], integer("/datasets/seeds", seeds[i]), fractions[2 * i], fractions[2 * i + 1]});
-  }
+      datasets.push_back({identities[i], integer(group + "/seeds", seeds[i]), fractions[2 * i], fractions[2 * i + 1]});
+    return datasets;
+  };
+  m.datasets = origins("/datasets");
+  m.calibrated = origins("/calibration_datasets");
   m.provenance = file.read_text("/provenance");
   m.training = file.read_text("/training");
   const std::string wanted = schema == kSchema1 ? checksum_1(m) : checksum(m, architecture);

@@ -84,6 +84,7 @@ struct Model {
   std::string material;                       ///< material space, YAML
   std::string dataset, provenance, training;  ///< identity of the data; versions and commit; training.json
   std::vector<DatasetOrigin> datasets;        ///< what the data are; empty: the file is older than this record
+  std::vector<DatasetOrigin> calibrated;      ///< what the calibration was found on later; empty: it is the fit's own
 
   bool needs_basis() const { return architecture.pca_skip || architecture.previous_shape; }
   Index latent_size() const { return architecture.latent + architecture.memory; }
@@ -118,6 +119,8 @@ void draw_weights(const Layout& layout, std::uint64_t seed, std::vector<float>& 
 Model untrained_model(Architecture architecture, const Task& task, std::uint64_t seed);
 /// Rounds to the nearest 16-bit float, as it will be read back.
 float round_to_half(float value);
+/// Whether storing it in half precision changes nothing.
+bool fits_half(const Model& model);
 void save_model(const std::filesystem::path& file, const Model& model, bool half_precision);
 /// Checks every size, every number, every range and the checksum. @throws ConfigError with the reason. Runs nothing
 /// that the file holds.

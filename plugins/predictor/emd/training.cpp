@@ -3,7 +3,6 @@
 #include "training.hpp"
 
 #include <ATen/ATen.h>
-#include <ATen/Parallel.h>
 #include <torch/csrc/autograd/autograd.h>
 
 #include <algorithm>
@@ -16,151 +15,27 @@
 #include <optional>
 
 #include "calibration.hpp"
-#include "inputs.hpp"
-#include "network.hpp"
-#include "sampling.hpp"
+#include "passes.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/random.hpp"
 
 namespace weft::emd {
 namespace {
 
-using at::Tensor;
 using nlohmann::ordered_json;
 
 constexpr std::size_t kChunks = 64;  // of the weights, for what is done to each of them
 constexpr const char* kCheckpointSchema = "weft emd checkpoint 1";
 
 std::size_t size_of(Index rows, Index columns) { return static_cast<std::size_t>(rows * columns); }
-Tensor view(const float* data, Index rows, Index columns) {
-  return at::from_blob(const_cast<float*>(data), {rows, columns}, at::TensorOptions().dtype(at::kFloat));
-}
-
-/// The network as tensors: the same formulas as Network (network.cpp), left to autograd.
-class Graph {
- public:
-  Graph(const Model& model, float* weights, float* gradients)
-      : arch_(model.architecture), layout_(arch_, model.dimensions), z_(model.latent_size()) {
-    for (const auto& w : layout_.weights) {
-      Tensor t = view(weights + w.offset, w.rows, w.columns);
-      if (gradients != nullptr) {
-        t.set_requires_grad(true);
-        t.mutable_grad() = view(gradients + w.offset, w.rows, w.columns);  // autograd adds in place
-      }
-      weights_.push_back(t);
-    }
-    if (model.needs_basis()) {
-      const Tensor basis = view(model.basis.data(), model.dimensions.coordinates(), arch_.latent);
-      const Tensor scale = view(model.scale.data(), 1, arch_.latent);
-      project_ = basis / scale;
-      expand_ = (basis * scale).t().contiguous();
-    }
-  }
-
-  struct Output {
-    Tensor mean;       ///< [wanted, coordinates]
-    Tensor log_sigma;  ///< raw: before the upper limit and the floor
-  };
-  /// @param running rows of each segment.
-  /// @param columns coordinates to decode; undefined: all.
-  Output forward(const Tensor& shape, const Tensor& change, const Tensor& inputs, const std::vector<Index>& running,
-                 const std::vector<Block::Wanted>& wanted, const Tensor& columns = {}) const {
-    const auto some = [&](const Tensor& all) { return columns.defined() ? at::index_select(all, 1, columns) : all; };
-    Tensor e = at::addmm(w(layout_.encoder_bias), shape, w(layout_.encoder_shape));
-    if (arch_.previous_shape) {
-      e = e + at::mm(at::mm(change, project_) * kVelocityGain, w(layout_.encoder_velocity));
-    }
-    Tensor z = at::addmm(w(layout_.encoder_out_bias), f(e), w(layout_.encoder_out));
-    if (arch_.pca_skip) z = z + at::constant_pad_nd(at::mm(shape, project_), {0, arch_.memory});
-    z = normalise(z);
-    const Tensor start = z;
-    std::vector<Tensor> contributions;
-    for (const auto& layer : layout_.layers) {
-      contributions.push_back(layer.u < 0 ? Tensor() : at::addmm(w(layer.b), inputs, w(layer.u)));
-    }
-    const Tensor out_contribution =
-        layout_.out.u < 0 ? Tensor() : at::addmm(w(layout_.out.b), inputs, w(layout_.out.u));
-    std::vector<Tensor> boundaries{z};
-    Index offset = 0;
-    for (const Index m : running) {
-      const Tensor before = z.size(0) == m ? z : z.narrow(0, 0, m);
-      Tensor h = before;
-      std::vector<Tensor> outputs;
-      for (std::size_t l = 0; l < layout_.layers.size(); ++l) {
-        const auto& layer = layout_.layers[l];
-        const Tensor added = layer.u < 0 ? w(layer.b) : contributions[l].narrow(0, offset, m);
-        h = f(at::addmm(added, h, w(layer.h)));
-        if (arch_.residual > 0 && l > 0) {
-          h = h + outputs[static_cast<std::size_t>(
-                      std::max<std::int64_t>(static_cast<std::int64_t>(l) - arch_.residual, 0))];
-        }
-        outputs.push_back(h);
-      }
-      Tensor dz =
-          at::addmm(layout_.out.u < 0 ? w(layout_.out.b) : out_contribution.narrow(0, offset, m), h, w(layout_.out.h));
-      z = normalise(arch_.differential_latent ? before + dz : dz);
-      boundaries.push_back(z);
-      offset += m;
-    }
-    std::vector<Tensor> codes;
-    std::vector<std::int64_t> of_row;
-    // One index_select over all boundaries keeps the graph small.
-    std::vector<std::int64_t> first(boundaries.size(), 0);
-    for (std::size_t j = 1; j < boundaries.size(); ++j) first[j] = first[j - 1] + boundaries[j - 1].size(0);
-    std::vector<std::int64_t> places;
-    for (const auto& one : wanted) {
-      places.push_back(first[static_cast<std::size_t>(one.step)] + one.row);
-      of_row.push_back(one.row);
-    }
-    const Tensor code = at::index_select(at::cat(boundaries), 0, at::tensor(places));
-    const Tensor g = f(at::addmm(w(layout_.decoder_bias), code, w(layout_.decoder_in)));
-    Output out;
-    out.log_sigma = at::addmm(some(w(layout_.sigma_bias)), g, some(w(layout_.sigma)));
-    Tensor latent = code.narrow(1, 0, arch_.latent);
-    if (arch_.differential_decoding) {
-      const Tensor rows = at::tensor(of_row);
-      const Tensor g0 = f(at::addmm(w(layout_.decoder_bias), start, w(layout_.decoder_in)));
-      out.mean =
-          at::addmm(at::index_select(some(shape), 0, rows), g - at::index_select(g0, 0, rows), some(w(layout_.mean)));
-      latent = latent - at::index_select(start, 0, rows).narrow(1, 0, arch_.latent);
-    } else {
-      out.mean = at::addmm(some(w(layout_.mean_bias)), g, some(w(layout_.mean)));
-    }
-    if (arch_.pca_skip) out.mean = at::addmm(out.mean, latent, some(expand_));
-    return out;
-  }
-
- private:
-  const Tensor& w(int i) const { return weights_[static_cast<std::size_t>(i)]; }
-  Tensor f(const Tensor& x) const { return arch_.activation == "tanh" ? at::tanh(x) : at::silu(x); }
-  Tensor normalise(const Tensor& a) const {
-    const auto unit = [](const Tensor& x) { return x * at::rsqrt(at::sum(x * x, {1}, true) + 1.0); };
-    if (arch_.latent_normalisation == "all") return unit(a);
-    if (arch_.latent_normalisation == "none" || arch_.memory == 0) return a;
-    return at::cat({a.narrow(1, 0, arch_.latent), unit(a.narrow(1, arch_.latent, arch_.memory))}, 1);
-  }
-
-  Architecture arch_;
-  Layout layout_;
-  Index z_;
-  std::vector<Tensor> weights_;
-  Tensor project_, expand_;
-};
-
-/// Sub-sequences for one pass, rows by descending length.
-struct Batch {
-  std::vector<float> shape, change, inputs, target;
-  std::vector<Index> running;
-  std::vector<Block::Wanted> wanted;
-  std::vector<std::int64_t> columns;  ///< coordinates that enter the loss, ascending; empty: all
-  Index rows = 0;
-};
-
 class Fit {
  public:
   explicit Fit(FitJob& job)
-      : job_(job), t_(job.training), model_(job.model), layout_(job.architecture, dimensions(job.task)) {
-    at::set_num_threads(1);  // parts of a batch run side by side instead
+      : job_(job),
+        t_(job.training),
+        model_(job.model),
+        layout_(job.architecture, dimensions(job.task)),
+        passes_(job.dataset, model_, job.host) {
     train_ = job.dataset.select(Split::train);
     validation_ = job.dataset.select(Split::validation);
     if (t_.max_examples > 0 && static_cast<std::size_t>(t_.max_examples) < train_.size())
@@ -239,8 +114,6 @@ class Fit {
   double seconds() const {
     return earlier_seconds_ + std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count();
   }
-  const Example& example(std::size_t i) const { return job_.dataset.examples[i]; }
-
   /// Everything that the result depends on.
   std::string make_identity() const {
     std::string text = job_.dataset.header.identity + " " + std::to_string(train_.size()) + " " +
@@ -282,7 +155,7 @@ class Fit {
     std::vector<double> sum(width, 0.0);
     std::size_t count = 0;
     for (const auto i : train_) {
-      const auto& shapes = example(i).shapes;
+      const auto& shapes = passes_.example(i).shapes;
       for (std::size_t s = 0; s < shapes.size(); ++s) sum[s % width] += static_cast<double>(shapes[s]);
       count += shapes.size() / width;
     }
@@ -296,7 +169,7 @@ class Fit {
     std::vector<float> rows;
     std::size_t number = 0;
     for (const auto i : train_) {
-      const auto& shapes = example(i).shapes;
+      const auto& shapes = passes_.example(i).shapes;
       for (std::size_t s = 0; s + width <= shapes.size(); s += width, ++number) {
         if (number % stride != 0) continue;
         for (std::size_t c = 0; c < width; ++c) rows.push_back(shapes[s + c] / kLength - model_.mean[c]);
@@ -330,12 +203,6 @@ class Fit {
     }
   }
 
-  void raw_inputs(const Example& e, Index j, const MaterialKnowledge& knowledge, double* to) const {
-    const bool released = e.released && j + 1 == e.segments();
-    write_inputs(model_.dimensions, e.controls.row(j).data(), e.states.row(j).data(), e.states.row(j + 1).data(),
-                 e.targets.row(j).data(), e.targets.row(j + 1).data(), released, knowledge.centre, knowledge.width, to);
-  }
-
   void normalise_inputs() {
     const auto& d = model_.dimensions;
     const auto u = static_cast<std::size_t>(d.inputs());
@@ -344,9 +211,9 @@ class Fit {
     model_.control_high.assign(static_cast<std::size_t>(d.controls), -std::numeric_limits<double>::infinity());
     double count = 0;
     for (const auto i : train_) {
-      const auto& e = example(i);
+      const auto& e = passes_.example(i);
       for (Index j = 0; j < e.segments(); ++j, ++count) {
-        raw_inputs(e, j, {}, raw.data());
+        passes_.raw_inputs(e, j, {}, raw.data());
         for (std::size_t k = 0; k < u; ++k) {
           sum[k] += raw[k];
           squares[k] += raw[k] * raw[k];
@@ -380,44 +247,6 @@ class Fit {
   // --- batches
   // -----------------------------------------------------------------------------------------------------------
 
-  Batch make_batch(std::vector<Sequence> sequences) const {
-    std::stable_sort(sequences.begin(), sequences.end(),
-                     [](const Sequence& a, const Sequence& b) { return a.steps > b.steps; });
-    Batch batch;
-    const auto n = static_cast<std::size_t>(model_.dimensions.coordinates());
-    const auto u = static_cast<std::size_t>(model_.dimensions.inputs());
-    batch.rows = static_cast<Index>(sequences.size());
-    const auto normalised = [&](const float* from, std::vector<float>& to) {
-      const std::size_t at = to.size();
-      to.resize(at + n);
-      for (std::size_t c = 0; c < n; ++c) to[at + c] = from[c] / kLength - model_.mean[c];
-    };
-    for (std::size_t r = 0; r < sequences.size(); ++r) {
-      const auto& s = sequences[r];
-      const float* shapes = example(s.example).shapes.data();
-      const float* first = shapes + static_cast<std::size_t>(s.start) * n;
-      normalised(first, batch.shape);
-      for (std::size_t c = 0; c < n; ++c)
-        batch.change.push_back(s.start == 0 ? 0.0f : (first[c] - (first - n)[c]) / kLength);
-      for (const Index step : s.decoded) {
-        batch.wanted.push_back({static_cast<Index>(r), step});
-        normalised(first + static_cast<std::size_t>(step) * n, batch.target);
-      }
-    }
-    std::vector<double> raw(u);
-    for (Index j = 0; j < sequences.front().steps; ++j) {
-      Index m = 0;
-      for (; m < batch.rows && sequences[static_cast<std::size_t>(m)].steps > j; ++m) {
-        const auto& s = sequences[static_cast<std::size_t>(m)];
-        raw_inputs(example(s.example), s.start + j, s.knowledge, raw.data());
-        for (std::size_t k = 0; k < u; ++k)
-          batch.inputs.push_back(static_cast<float>((raw[k] - model_.input_mean[k]) / model_.input_sd[k]));
-      }
-      batch.running.push_back(m);
-    }
-    return batch;
-  }
-
   /// The sub-sequences of one iteration: a function of (seed, iteration), which is what makes resuming exact.
   std::vector<Sequence> draw(std::int64_t iteration) const {
     const RandomStream streams(job_.options.seed, 0x6261746368ull, static_cast<std::uint64_t>(iteration));
@@ -425,7 +254,7 @@ class Fit {
     for (std::size_t b = 0; b < sequences.size(); ++b) {
       RandomStream random = streams.child(b);
       const std::size_t i = train_[random.below(train_.size())];
-      sequences[b] = sample_sequence(i, example(i), t_, random);
+      sequences[b] = sample_sequence(i, passes_.example(i), t_, random);
     }
     return sequences;
   }
@@ -461,7 +290,7 @@ class Fit {
     const Tensor raw = out.log_sigma.detach();
     const Tensor e = at::exp(at::clamp_max(raw, kLargestLogSigma));
     const Tensor sigma = e + floor;
-    const Tensor difference = out.mean.detach() - target(batch);
+    const Tensor difference = out.mean.detach() - passes_.target(batch);
     const Tensor r = difference / sigma;
     const Tensor square = r * r;
     const Tensor terms = at::mean(square * 0.5 + at::log(sigma), 1).contiguous();
@@ -491,26 +320,6 @@ class Fit {
     return result;
   }
 
-  Tensor sigma_of(const Graph::Output& out) const {
-    const float floor = static_cast<float>(job_.architecture.sigma_floor_m) / kLength;
-    return at::exp(at::clamp_max(out.log_sigma, kLargestLogSigma)) + floor;
-  }
-
-  Graph::Output forward(const Graph& graph, const Batch& batch) const {
-    const auto& d = model_.dimensions;
-    const auto total = static_cast<Index>(batch.inputs.size()) / d.inputs();
-    return graph.forward(view(batch.shape.data(), batch.rows, d.coordinates()),
-                         view(batch.change.data(), batch.rows, d.coordinates()),
-                         view(batch.inputs.data(), total, d.inputs()), batch.running, batch.wanted,
-                         batch.columns.empty() ? Tensor() : at::tensor(batch.columns));
-  }
-  /// The shapes that a batch's predictions are compared with, [wanted, columns].
-  Tensor target(const Batch& batch) const {
-    const Tensor all =
-        view(batch.target.data(), static_cast<Index>(batch.wanted.size()), model_.dimensions.coordinates());
-    return batch.columns.empty() ? all : at::index_select(all, 1, at::tensor(batch.columns));
-  }
-
   // --- one iteration
   // -----------------------------------------------------------------------------------------------------
 
@@ -528,14 +337,14 @@ class Fit {
     const std::size_t parts = workers_.size();
     double shapes = 0.0;
     for (const auto& s : sequences) shapes += static_cast<double>(s.decoded.size());
-    side_by_side(parts, [&](std::size_t p) {
+    passes_.side_by_side(parts, [&](std::size_t p) {
       auto& worker = *workers_[p];
       std::vector<Sequence> part;
       for (std::size_t i = p; i < sequences.size(); i += parts) part.push_back(sequences[i]);
-      worker.batch = make_batch(std::move(part));
+      worker.batch = passes_.make_batch(std::move(part));
       worker.batch.columns = columns;
       std::fill(worker.gradients.begin(), worker.gradients.end(), 0.0f);
-      const Graph::Output out = forward(*worker.graph, worker.batch);
+      const Graph::Output out = passes_.forward(*worker.graph, worker.batch);
       const Loss l = loss(out, worker.batch, shapes);
       torch::autograd::backward({out.mean, out.log_sigma}, {l.d_mean, l.d_log_sigma});
       worker.loss = l.sum;
@@ -565,14 +374,6 @@ class Fit {
     }
   }
 
-  /// body(p) for every part, on the host's threads. Each part's products use one thread.
-  template <class Body>
-  void side_by_side(std::size_t parts, const Body& body) {
-    job_.host.parallel_for(static_cast<std::int64_t>(parts), [&](std::int64_t p) {
-      if (parts > 1) at::init_num_threads();  // libtorch counts threads per thread
-      body(static_cast<std::size_t>(p));
-    });
-  }
   /// body(chunk, from, to) over the weights. Chunks do not depend on the threads.
   template <class Body>
   void in_chunks(const Body& body) {
@@ -637,32 +438,22 @@ class Fit {
       RandomStream random = streams.child(i);
       Sequence s;
       s.example = validation_[i / 2];
-      const auto& e = example(s.example);
+      const auto& e = passes_.example(s.example);
       s.start = i % 2 == 0 ? 0 : static_cast<Index>(random.below(static_cast<std::uint64_t>(e.segments())));
       s.steps = e.segments() - s.start;
       s.knowledge = sample_knowledge(e.q, 0.3, 0.3, random);
       for (Index j = 1; j <= s.steps; ++j) s.decoded.push_back(j);
       all.push_back(s);
     }
-    validation_batches_ = in_batches(all);
+    validation_batches_ = passes_.in_batches(all);
   }
-  std::vector<Batch> in_batches(const std::vector<Sequence>& all) const {
-    std::vector<Batch> batches;
-    for (std::size_t i = 0; i < all.size(); i += 32) {
-      const auto first = all.begin() + static_cast<std::ptrdiff_t>(i);
-      batches.push_back(
-          make_batch({first, first + static_cast<std::ptrdiff_t>(std::min<std::size_t>(32, all.size() - i))}));
-    }
-    return batches;
-  }
-
   const std::vector<float>& evaluated_weights() const { return t_.average > 0 ? average_ : weights_; }
 
   std::vector<Loss> validate(const Graph& graph) {
     std::vector<Loss> losses(validation_batches_.size());
-    side_by_side(losses.size(), [&](std::size_t b) {
+    passes_.side_by_side(losses.size(), [&](std::size_t b) {
       const at::NoGradGuard guard;
-      losses[b] = loss(forward(graph, validation_batches_[b]), validation_batches_[b]);
+      losses[b] = loss(passes_.forward(graph, validation_batches_[b]), validation_batches_[b]);
     });
     return losses;
   }
@@ -745,7 +536,9 @@ class Fit {
     if (t_.half_precision) {
       for (float& w : best_weights_) w = round_to_half(w);
     }
-    calibrate();
+    model_.calibration.assign(4, 1.0f);
+    model_.calibration_added.clear();
+    if (t_.calibrate) find_calibration(passes_, model_, best_weights_, validation_, job_.options.seed);
     save_best(true);
     auto& r = job_.report;
     r.iterations = iteration_;
@@ -777,97 +570,6 @@ class Fit {
     }
     json["curve"] = curve;
     r.json = json.dump(2) + "\n";
-  }
-
-  /// From the validation split, per number of segments, from the flat start and from elsewhere, with exact knowledge
-  /// and with none.
-  void calibrate() {
-    model_.calibration.assign(4, 1.0f);
-    model_.calibration_added.clear();
-    if (!t_.calibrate) return;
-    constexpr int kStarts = 4;
-    const Graph graph(model_, best_weights_.data(), nullptr);
-    const RandomStream streams(job_.options.seed, 0x63616c6962ull);
-    // Further datasets of a fit are of other distributions; what is predicted is of the first one's. Within each,
-    // indices ascend.
-    const auto& examples = job_.dataset.examples;
-    const auto second = std::adjacent_find(examples.begin(), examples.end(),
-                                           [](const auto& a, const auto& b) { return b.index <= a.index; });
-    const auto of_first = std::min(static_cast<std::size_t>(second - examples.begin()) + 1, examples.size());
-    std::vector<std::vector<float>> factors, added;
-    std::size_t longest = 1;
-    for (const bool from_start : {true, false}) {
-      for (const bool is_certain : {true, false}) {
-        std::vector<Sequence> all[2];  // of the first dataset, of the others
-        for (const std::size_t i : validation_) {
-          RandomStream random = streams.child(i);
-          const auto& e = example(i);
-          for (int repeat = 0; repeat < (from_start ? 1 : kStarts); ++repeat) {
-            Sequence s;
-            s.example = i;
-            s.start = from_start ? 0 : static_cast<Index>(random.below(static_cast<std::uint64_t>(e.segments())));
-            s.steps = e.segments() - s.start;
-            s.knowledge = is_certain ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
-            for (Index j = 1; j <= s.steps; ++j) s.decoded.push_back(j);
-            all[i >= of_first].push_back(s);
-          }
-        }
-        std::vector<SigmaTally> steps[2];
-        for (int other = 0; other < 2; ++other) {
-          const auto batches = in_batches(all[other]);
-          std::vector<std::vector<SigmaTally>> parts(batches.size());
-          side_by_side(batches.size(), [&](std::size_t b) {
-            const at::NoGradGuard guard;
-            const auto& batch = batches[b];
-            const Graph::Output out = forward(graph, batch);
-            const Tensor error = (out.mean - target(batch)).contiguous(), sigma = sigma_of(out).contiguous();
-            const Index n = error.size(1);
-            parts[b].resize(batch.running.size());
-            for (std::size_t w = 0; w < batch.wanted.size(); ++w) {
-              const auto at = static_cast<Index>(w) * n;
-              parts[b][static_cast<std::size_t>(batch.wanted[w].step) - 1].add(error.data_ptr<float>() + at,
-                                                                               sigma.data_ptr<float>() + at, n);
-            }
-          });
-          for (const auto& part : parts) {
-            for (auto& to : steps) to.resize(std::max(to.size(), part.size()));
-            for (std::size_t j = 0; j < part.size(); ++j) steps[other][j].add(part[j]);
-          }
-        }
-        // Few sequences are long: a number of segments with few shapes borrows from the other datasets and then from
-        // its neighbours.
-        const double enough = std::clamp(0.5 * static_cast<double>(all[0].size() + all[1].size()), 100.0, 400.0);
-        const auto around = [&](std::size_t j) {
-          SigmaTally sum = steps[0][j];
-          if (sum.shapes() < enough) sum.add(steps[1][j]);
-          for (std::size_t reach = 1; sum.shapes() < enough && reach < steps[0].size(); ++reach) {
-            for (const auto& of : steps) {
-              if (reach <= j) sum.add(of[j - reach]);
-              if (j + reach < of.size()) sum.add(of[j + reach]);
-            }
-          }
-          return sum;
-        };
-        auto& factor_curve = factors.emplace_back();
-        auto& added_curve = added.emplace_back();
-        for (std::size_t j = 0; j < steps[0].size(); ++j) {
-          const SigmaTally::Choice choice = around(j).choose();
-          factor_curve.push_back(choice.factor);
-          added_curve.push_back(choice.added);
-        }
-        longest = std::max(longest, factor_curve.size());
-      }
-    }
-    const auto joined = [&](std::vector<std::vector<float>>& curves, float otherwise) {
-      std::vector<float> out;
-      for (auto& curve : curves) {
-        curve.resize(longest, curve.empty() ? otherwise : curve.back());
-        out.insert(out.end(), curve.begin(), curve.end());
-      }
-      return out;
-    };
-    model_.calibration = joined(factors, 1.0f);
-    model_.calibration_added = joined(added, 0.0f);
   }
 
   void save_checkpoint() {
@@ -957,6 +659,7 @@ class Fit {
   const Training& t_;
   Model& model_;
   Layout layout_;
+  Passes passes_;
   std::string identity_;
   std::vector<std::size_t> train_, validation_;
   std::vector<Batch> validation_batches_;
@@ -969,16 +672,6 @@ class Fit {
   std::vector<std::array<double, 5>> curve_;
   std::chrono::steady_clock::time_point started_;
 };
-
-/// Errors of libtorch become ours: its exception types stay inside this library.
-template <class Body>
-void translated(const Body& body) {
-  try {
-    body();
-  } catch (const c10::Error& error) {
-    throw Error(std::string("libtorch: ") + error.what_without_backtrace());
-  }
-}
 
 }  // namespace
 }  // namespace weft::emd

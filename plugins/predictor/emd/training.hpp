@@ -20,6 +20,18 @@ struct FitJob {
 /// Exported as "weft_emd_fit". @throws what TrainablePredictor::fit throws.
 using FitFunction = void (*)(FitJob& job);
 
+/// One calibration of a model, handed to the training library.
+struct CalibrationJob {
+  const Dataset& dataset;
+  const std::vector<std::size_t>& examples;  ///< positions in the dataset
+  std::uint64_t seed;
+  Host& host;
+  Model model;                       ///< in; out: with another calibration, and the same in everything else
+  std::vector<CalibrationRow> rows;  ///< out
+};
+/// Exported as "weft_emd_calibrate".
+using CalibrationFunction = void (*)(CalibrationJob& job);
+
 /// Loss and gradients by autograd, for tests of the hand-written ones. All arrays as in Block (normalised).
 struct AutogradJob {
   const Model& model;
