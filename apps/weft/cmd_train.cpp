@@ -24,9 +24,7 @@ std::string duration(double seconds) {
 }
 
 int train(Context& context, const std::string& file, std::vector<std::string> folders) {
-  if (context.out.empty()) throw ConfigError("weft train: --out MODEL is required, a file such as model.h5");
-  const fs::path model = context.out;
-  if (model.extension() != ".h5") throw ConfigError("--out = " + context.out + ", must end in .h5");
+  const fs::path model = model_file(context, "weft train");
   const Prepared<ExperimentParams> given(context, file);
   if (given.params.predictor.is_null())
     given.config.fail("predictor is missing; name one that learns, such as {plugin: emd}");
@@ -37,16 +35,7 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
   if (folders.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
 
-  Dataset dataset;
-  for (const auto& folder : folders) {
-    context.say("reading " + folder);
-    Dataset one = Dataset::load(folder);
-    one.require_task(given.task);
-    if (dataset.examples.empty())
-      dataset = std::move(one);
-    else
-      dataset.append(std::move(one));
-  }
+  const Dataset dataset = read_datasets(context, folders, given.task);
   if (model.has_parent_path()) fs::create_directories(model.parent_path());
   FitOptions options;
   options.seed = given.seed;

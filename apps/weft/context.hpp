@@ -52,6 +52,7 @@ void register_displacement(CLI::App& app, Context& context);
 void register_generate(CLI::App& app, Context& context);
 void register_dataset(CLI::App& app, Context& context);
 void register_train(CLI::App& app, Context& context);
+void register_calibrate(CLI::App& app, Context& context);
 void register_evaluate(CLI::App& app, Context& context);
 
 }  // namespace weft::app

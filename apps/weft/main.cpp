@@ -40,6 +40,7 @@ int main(int argc, char** argv) {
   register_generate(app, context);
   register_dataset(app, context);
   register_train(app, context);
+  register_calibrate(app, context);
   register_evaluate(app, context);
   register_ablate(app, context);
   register_export(app, context);

@@ -38,11 +38,35 @@ struct Prepared {
   Task task;
 };
 
+/// The model file that --out names. @throws ConfigError without one.
+inline std::filesystem::path model_file(const Context& context, const std::string& command) {
+  if (context.out.empty()) throw ConfigError(command + ": --out MODEL is required, a file such as model.h5");
+  if (std::filesystem::path(context.out).extension() != ".h5")
+    throw ConfigError("--out = " + context.out + ", must end in .h5");
+  return context.out;
+}
+
+/// Reads datasets of one task, the first one first.
+inline Dataset read_datasets(const Context& context, const std::vector<std::string>& folders, const Task& task) {
+  Dataset dataset;
+  for (std::size_t i = 0; i < folders.size(); ++i) {
+    context.say("reading " + folders[i]);
+    Dataset one = Dataset::load(folders[i]);
+    one.require_task(task);
+    if (i == 0)
+      dataset = std::move(one);
+    else
+      dataset.append(std::move(one));
+  }
+  return dataset;
+}
+
 /// Warns when examples of a split are not to this predictor what the split's name says.
 inline void warn_unless_held_out(Predictor& predictor, const Dataset& dataset, const std::string& split, Host& host) {
   const TrainablePredictor* learner = predictor.trainable();
   if (learner == nullptr) return;
-  const std::string warning = dataset.held_out_warning(split_named(split), learner->trained_on());
+  const std::string warning =
+      dataset.held_out_warning(split_named(split), learner->trained_on(), learner->calibrated_on());
   if (!warning.empty()) host.log(LogLevel::warning, warning);
 }
 

@@ -111,5 +111,6 @@ extern "C" WEFT_API void weft_emd_calibrate(weft::emd::CalibrationJob& job) {
   translated([&] {
     Passes passes(job.dataset, job.model, job.host);
     job.rows = find_calibration(passes, job.model, job.model.weights, job.examples, job.seed);
+    if (job.host.cancelled()) throw weft::Error("emd: stopped; no calibration was kept");
   });
 }

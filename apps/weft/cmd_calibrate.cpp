@@ -1,0 +1,150 @@
+#include <unistd.h>
+
+#include <cstdio>
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "context.hpp"
+#include "output.hpp"
+#include "prepared.hpp"
+#include "weft/experiment.hpp"
+#include "weft/refusal.hpp"
+#include "weft/trainable.hpp"
+
+namespace weft::app {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::ordered_json;
+
+/// Finds out before the work whether its result can be kept. @param original the model that is to stay as it is.
+void require_place(const fs::path& file, const fs::path& original) {
+  const auto refuse = [&](const std::string& reason) { throw ConfigError("--out = " + file.string() + ": " + reason); };
+  std::error_code error;
+  if (fs::equivalent(file, original, error)) refuse("is the model that is calibrated; name another file");
+  if (fs::is_directory(file, error)) refuse("is a folder, must be a file");
+  const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
+  fs::create_directories(folder, error);
+  if (!fs::is_directory(folder)) refuse("its folder cannot be made: " + error.message());
+  if (::access(folder.c_str(), W_OK) != 0) refuse("its folder cannot be written to");
+}
+
+std::string row_name(const CalibrationRow& row) {
+  return std::string(row.from_start ? "from the start" : "within a session") + (row.is_known ? ", known" : ", unknown");
+}
+
+/// Factor and added length by the number of segments, some of these.
+void say_rows(const Context& context, const std::vector<CalibrationRow>& rows) {
+  std::size_t longest = 0;
+  for (const auto& row : rows) longest = std::max(longest, row.factor.size());
+  std::vector<std::size_t> columns;
+  for (const std::size_t segments : {1, 2, 3, 5, 8, 12, 16, 20, 25}) {
+    if (segments <= longest) columns.push_back(segments);
+  }
+  char text[80];
+  std::snprintf(text, sizeof(text), "%-26s %11s  %-10s", "material", "predictions", "segments");
+  std::string head = text;
+  for (const auto segments : columns) {
+    std::snprintf(text, sizeof(text), " %5zu", segments);
+    head += text;
+  }
+  context.say(head);
+  for (const auto& row : rows) {
+    const auto say = [&](std::string line, const char* what, const std::vector<double>& values, double unit) {
+      std::snprintf(text, sizeof(text), "  %-10s", what);
+      line += text;
+      for (const auto segments : columns) {
+        if (segments > values.size())
+          std::snprintf(text, sizeof(text), " %5s", "-");
+        else
+          std::snprintf(text, sizeof(text), " %5.2f", values[segments - 1] / unit);
+        line += text;
+      }
+      context.say(line);
+    };
+    std::snprintf(text, sizeof(text), "%-26s %11lld", row_name(row).c_str(), static_cast<long long>(row.predictions));
+    say(text, "factor", row.factor, 1.0);
+    say(std::string(38, ' '), "added mm", row.added_m, 1e-3);
+  }
+}
+
+int calibrate(Context& context, const std::string& file, const std::vector<std::string>& folders) {
+  const fs::path out = model_file(context, "weft calibrate");
+  if (folders.empty()) throw ConfigError("weft calibrate: --data FOLDER is required");
+  const Prepared<ExperimentParams> given(context, file);
+  const ConfigNode slot = place(given.config, "predictor");
+  const auto predictor = bound_predictor(slot, given.task, *given.host);
+  TrainablePredictor* learner = predictor->trainable();
+  if (learner == nullptr)
+    given.config.fail(
+        "predictor does not learn and has nothing to calibrate; name a trained one, such as {plugin: emd}");
+  const ConfigNode named = place(slot, "params.model");
+  const fs::path model = named.is_null() ? fs::path() : named.as_path();
+  require_place(out, model);
+
+  const Dataset dataset = read_datasets(context, folders, given.task);
+  const auto trained_on = learner->trained_on();
+  if (trained_on.empty()) {
+    given.host->log(LogLevel::warning,
+                    "the model does not say what it was trained on: of every dataset the validation split is taken");
+  }
+  const std::vector<std::size_t> examples = dataset.unseen(trained_on);
+  const auto origins = dataset.origins();
+  std::vector<std::size_t> counts(origins.size(), 0), all(origins.size(), 0);
+  for (const std::size_t i : examples) ++counts[dataset.source(i)];
+  for (std::size_t i = 0; i < dataset.examples.size(); ++i) ++all[dataset.source(i)];
+  for (std::size_t d = 0; d < counts.size(); ++d) {
+    if (counts[d] == 0) {
+      throw ConfigError(folders[d] +
+                        ": holds no example outside of its test split that the model's fit has not seen; leave it out, "
+                        "or make examples of another seed");
+    }
+    context.say("calibrating on " + std::to_string(counts[d]) + " of the " + std::to_string(all[d]) + " examples of " +
+                folders[d]);
+  }
+  const CalibrationReport report =
+      learner->calibrate(dataset, examples, given.task, {.seed = given.seed, .model = out});
+  say_rows(context, report.rows);
+
+  ordered_json json;
+  json["model"] = model.string();
+  json["calibrated"] = out.string();
+  json["datasets"] = ordered_json::array();
+  for (std::size_t d = 0; d < counts.size(); ++d) {
+    json["datasets"].push_back({{"folder", folders[d]},
+                                {"identity", origins[d].identity},
+                                {"seed", origins[d].seed},
+                                {"examples", counts[d]}});
+  }
+  json["examples"] = report.examples;
+  json["rows"] = ordered_json::array();
+  for (const auto& row : report.rows) {
+    json["rows"].push_back({{"begins", row.from_start ? "start" : "within"},
+                            {"material", row.is_known ? "known" : "unknown"},
+                            {"predictions", row.predictions},
+                            {"shapes", row.shapes},
+                            {"factor", row.factor},
+                            {"added_m", row.added_m}});
+  }
+  json["provenance"] = ordered_json::parse(given.provenance());
+  const std::string text = json.dump(2) + "\n";
+  write_text(fs::path(out).replace_extension(".calibration.json"), text);
+  if (context.json) std::cout << text;
+  context.say("calibrated on " + std::to_string(report.examples) + " examples: " + out.string());
+  return 0;
+}
+
+}  // namespace
+
+void register_calibrate(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("calibrate", "Find anew how wide a trained predictor's sigma must be");
+  add_common_options(*command, context);
+  auto file = std::make_shared<std::string>();
+  auto data = std::make_shared<std::vector<std::string>>();
+  command->add_option("config", *file, "Experiment file whose predictor.params.model names the model")->required();
+  command->add_option("--data", *data, "Folders of examples; sigma is to hold for the first one's");
+  command->callback(
+      [&context, file, data] { context.action = [&context, file, data] { return calibrate(context, *file, *data); }; });
+}
+
+}  // namespace weft::app
