@@ -49,7 +49,7 @@ struct FileKind {
 };
 constexpr FileKind kFileKinds[] = {
     {"task", "weft run, weft plan, weft estimate", describe_params<SessionParams>},
-    {"experiment", "weft generate, weft train, weft evaluate", describe_params<ExperimentParams>},
+    {"experiment", "weft generate, weft train, weft calibrate, weft evaluate", describe_params<ExperimentParams>},
     {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
 };
 

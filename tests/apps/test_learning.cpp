@@ -167,6 +167,101 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   EXPECT_LT(summary.at("error_mm").get<double>(), 0.6 * summary.at("default_error_mm").get<double>());
 }
 
+TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
+  const Folder folder;
+  const auto known = folder / "known", fresh = folder / "fresh", model = folder / "m/model.h5";
+  ASSERT_EQ(weft_command("generate '" + kConfig + "' --quiet --examples 40 --out " + quoted(known)).code, 0);
+  ASSERT_EQ(weft_command("generate '" + kConfig + "' --quiet --examples 24 --seed 11 --out " + quoted(fresh)).code, 0);
+  const Outcome trained =
+      weft_command("train '" + kConfig + "' --quiet --set predictor.params.training.iterations=20 --data " +
+                   quoted(known) + " --out " + quoted(model));
+  if (WEFT_HAS_TORCH == 0) {
+    EXPECT_THAT(trained.output, HasSubstr("made without libtorch"));
+    return;
+  }
+  ASSERT_EQ(trained.code, 0) << trained.output;
+  const std::string command = "calibrate '" + kConfig + "' --set predictor.params.model=" + quoted(model) + " ";
+  const auto out = folder / "n/new.h5";
+  const Outcome done =
+      weft_command(command + "--data " + quoted(fresh) + " " + quoted(known) + " --out " + quoted(out));
+  ASSERT_EQ(done.code, 0) << done.output;
+  EXPECT_THAT(done.output, Not(HasSubstr("warning")));
+  for (const char* row : {"from the start, known", "from the start, unknown", "within a session, known",
+                          "within a session, unknown", "factor", "added mm"})
+    EXPECT_THAT(done.output, HasSubstr(row));
+  const auto told = nlohmann::json::parse(bytes_of(folder / "n/new.calibration.json"));
+  EXPECT_EQ(told.at("model"), model.string());
+  EXPECT_FALSE(told.at("provenance").at("commit").get<std::string>().empty());
+  const Dataset first = Dataset::load(fresh), second = Dataset::load(known);
+  ASSERT_EQ(told.at("datasets").size(), 2u);
+  EXPECT_EQ(told.at("datasets")[0].at("identity"), first.header.identity);
+  EXPECT_EQ(told.at("datasets")[0].at("examples"), 24 - first.select(Split::test).size());
+  EXPECT_EQ(told.at("datasets")[1].at("examples"), second.select(Split::validation).size());
+  ASSERT_EQ(told.at("rows").size(), 4u);
+  for (const auto& row : told.at("rows")) {
+    EXPECT_EQ(row.at("factor").size(), row.at("shapes").size());
+    EXPECT_EQ(row.at("factor").size(), row.at("added_m").size());
+    EXPECT_GT(row.at("predictions"), 0);
+    for (const double factor : row.at("factor")) EXPECT_GT(factor, 0.0);
+  }
+  // The same again, and as JSON; the model that it began with is untouched.
+  const std::string before = bytes_of(model), made = bytes_of(out);
+  const Outcome again =
+      weft_command(command + "--jobs 1 --json --data " + quoted(fresh) + " " + quoted(known) + " --out " + quoted(out));
+  ASSERT_EQ(again.code, 0) << again.output;
+  EXPECT_EQ(nlohmann::json::parse(again.output).at("rows"), told.at("rows"));
+  EXPECT_TRUE(bytes_of(out) == made) << "not the same bytes";
+  EXPECT_TRUE(bytes_of(model) == before);
+
+  // The new model works, and says what it was calibrated on.
+  const auto warnings = [&](const std::filesystem::path& of, const std::string& split) {
+    const Outcome outcome =
+        weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) +
+                     " --set evaluation.baselines=false --set evaluation.split=" + split +
+                     " --set predictor.params.model=" + quoted(of) + " --out " + quoted(folder / "e"));
+    EXPECT_EQ(outcome.code, 0) << outcome.output;
+    return outcome.output;
+  };
+  EXPECT_THAT(warnings(out, "train"), HasSubstr("its sigma was calibrated on"));
+  EXPECT_THAT(warnings(model, "train"), Not(HasSubstr("calibrated on")));
+  EXPECT_THAT(warnings(out, "test"), Not(HasSubstr("warning")));
+
+  // Bad input is one line, and nothing is written.
+  const auto refused = [&](const std::string& arguments) {
+    const Outcome outcome = weft_command(arguments);
+    EXPECT_EQ(outcome.code, 2) << outcome.output;
+    const auto at = outcome.output.find("error: ");
+    EXPECT_NE(at, std::string::npos) << outcome.output;
+    EXPECT_EQ(outcome.output.find('\n', at), outcome.output.size() - 1) << outcome.output;
+    return outcome.output;
+  };
+  const std::string with_fresh = command + "--data " + quoted(fresh);
+  EXPECT_THAT(refused(with_fresh), HasSubstr("--out MODEL is required"));
+  EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "x")), HasSubstr("must end in .h5"));
+  EXPECT_THAT(refused(command + "--out " + quoted(folder / "x.h5")), HasSubstr("--data FOLDER is required"));
+  EXPECT_THAT(refused(with_fresh + " --out " + quoted(model)), HasSubstr("is the model that is calibrated"));
+  EXPECT_THAT(refused(with_fresh + " --out " + quoted(model / "x.h5")), HasSubstr("its folder cannot be made"));
+  std::filesystem::create_directory(folder / "folder.h5");
+  EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "folder.h5")), HasSubstr("is a folder"));
+  const std::string to_x = " --out " + quoted(folder / "x.h5");
+  EXPECT_THAT(refused(command + "--data " + quoted(folder / "none") + to_x), HasSubstr("is no folder"));
+  EXPECT_THAT(refused(command + "--data " + quoted(fresh) + " " + quoted(fresh) + to_x), HasSubstr("the same one"));
+  EXPECT_THAT(refused("calibrate '" + kConfig + "' --data " + quoted(fresh) + to_x), HasSubstr("needs a model file"));
+  EXPECT_THAT(
+      refused("calibrate '" + kConfig + "' --set predictor.params.model=none.h5 --data " + quoted(fresh) + to_x),
+      HasSubstr("none.h5"));
+  EXPECT_THAT(refused("calibrate '" + kConfig + "' --set predictor='{plugin: rollout}' --data " + quoted(fresh) + to_x),
+              HasSubstr("does not learn"));
+  EXPECT_THAT(refused(with_fresh + to_x + " --set garment='" WEFT_SOURCE_DIR "/configs/garments/towel.yaml'"),
+              HasSubstr("was trained for the garment"));
+  // What it was trained on, without the validation split.
+  ASSERT_EQ(weft_command("dataset split " + quoted(known) + " --out " + quoted(folder / "s")).code, 0);
+  EXPECT_THAT(refused(command + "--data " + quoted(fresh) + " " + quoted(folder / "s/train") + to_x),
+              HasSubstr("s/train: holds no example outside of its test split"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "x.h5"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "x.calibration.json"));
+}
+
 // A parameter that a later version added, at its default, must not orphan a dataset that took an hour to make.
 TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhenItsConfigSaysTheSame) {
   const Folder folder;

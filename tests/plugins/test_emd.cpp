@@ -123,15 +123,15 @@ std::vector<PredictionCase> some_cases(const Task& task, std::size_t count, std:
 }
 
 /// Folds that obey a simple rule: the grasped half follows the hands, the faster the stiffer; release flattens it.
-Dataset toy_dataset(const Task& task, std::int64_t count) {
+Dataset toy_dataset(const Task& task, std::int64_t count, std::uint64_t seed = 1) {
   Dataset data;
   DataParams params;
   params.validation_fraction = 0.15;
   params.test_fraction = 0.15;
-  data.header = make_dataset_header(task, params, 1, ConfigNode::parse("{toy: 1}", "test"), "{}");
+  data.header = make_dataset_header(task, params, seed, ConfigNode::parse("{toy: 1}", "test"), "{}");
   const auto variables = task.trajectory->controls();
   for (std::int64_t i = 0; i < count; ++i) {
-    RandomStream random(9, static_cast<std::uint64_t>(i));
+    RandomStream random(8 + seed, static_cast<std::uint64_t>(i));
     Example e;
     e.index = i;
     for (Index p = 0; p < 4; ++p) e.q[p] = random.uniform();
@@ -478,6 +478,7 @@ TEST(EmdModel, AChangeOfAnyValueIsRefused) {
   model.provenance = "{\"commit\":\"5a\"}";
   model.training = "{\"iterations\":12}";
   model.datasets = {{"6f1c", 7171717, 0.04, 0.08}};
+  model.calibrated = {{"6f1b", 8181818, 0.03, 0.07}};
   model.grasp_vertices = {3, 14};
   model.initial_state = {0.125, 0.2, 0.3, 0.4, 0.5};
   model.garment_name = "tablecloth";
@@ -504,6 +505,9 @@ TEST(EmdModel, AChangeOfAnyValueIsRefused) {
   check("datasets", model.datasets[0].identity);
   check("seed", std::to_string(model.datasets[0].seed));
   check("fractions", std::vector<double>{0.04, 0.08});
+  check("calibrated", model.calibrated[0].identity);
+  check("calibrated seed", std::to_string(model.calibrated[0].seed));
+  check("calibrated fractions", std::vector<double>{0.03, 0.07});
   check("provenance", model.provenance);
   check("training", model.training);
   check("input_mean", model.input_mean);
@@ -531,16 +535,23 @@ TEST(EmdModel, FilesOfEarlierSchemasAreRead) {
   EXPECT_THAT(refusal(with_changed_bit(bytes_of(old), model.mean)), HasSubstr("recorded checksum"));
   // Called the new one, it lacks the new checksum.
   std::string renamed = bytes_of(old);
-  renamed.replace(renamed.find("emd model 1"), 11, "emd model 3");
+  renamed.replace(renamed.find("emd model 1"), 11, "emd model 4");
   EXPECT_THAT(refusal(renamed), HasSubstr("recorded checksum"));
   // The second one had no added lengths.
   Model second = model;
   second.calibration_added.clear();
   save_model(folder / "second.h5", second, false);
   renamed = bytes_of(folder / "second.h5");
-  renamed.replace(renamed.find("emd model 3"), 11, "emd model 2");
+  renamed.replace(renamed.find("emd model 4"), 11, "emd model 2");
   std::ofstream(folder / "second.h5", std::ios::binary) << renamed;
   EXPECT_TRUE(load_model(folder / "second.h5").calibration_added.empty());
+  // The third had them, but did not say what was calibrated on later.
+  save_model(folder / "third.h5", model, false);
+  renamed = bytes_of(folder / "third.h5");
+  renamed.replace(renamed.find("emd model 4"), 11, "emd model 3");
+  std::ofstream(folder / "third.h5", std::ios::binary) << renamed;
+  EXPECT_EQ(load_model(folder / "third.h5").calibration_added, model.calibration_added);
+  EXPECT_TRUE(load_model(folder / "third.h5").calibrated.empty());
   EXPECT_GT(load_model(WEFT_SOURCE_DIR "/configs/models/tshirt.h5").weights.size(), 1000000u);  // whichever it has
 }
 
@@ -803,6 +814,217 @@ TEST(EmdTraining, CalibrationBringsSigmaToTheErrorsOfUnseenExamples) {
   EXPECT_GT(without.nse, 1.6);
   EXPECT_LT(std::abs(std::log(with.nse)), 0.5 * std::abs(std::log(without.nse)));
   EXPECT_LT(std::abs(with.coverage - 0.683), std::abs(without.coverage - 0.683));
+}
+
+/// A model fitted to toy_dataset(task, 60), in folder/fitted.h5, and a predictor's parameters with it.
+Params fitted(const Folder& folder, const Task& task, bool half_precision = true) {
+  TestHost host;
+  Params params = small_and_quick();
+  params.training.iterations = 300;
+  params.training.half_precision = half_precision;
+  EmdPredictor(params, host)
+      .fit(toy_dataset(task, 60), task, {.seed = 4, .model = folder / "fitted.h5"},
+           [](const FitProgress&) { return true; });
+  params.training.half_precision = true;
+  params.model = folder / "fitted.h5";
+  return params;
+}
+
+// A model whose sigma is three times too small, and 40 mm too large within sessions, comes back on the examples of a
+// seed that it has never seen; nothing but the calibration is another.
+TEST(EmdRecalibration, BringsAWrongSigmaToTheErrorsOfUnseenExamples) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host;
+  Params params = fitted(folder, task);
+  Model wrong = load_model(params.model);
+  const std::size_t half = wrong.calibration.size() / 2;
+  for (std::size_t i = 0; i < 2 * half; ++i) {
+    wrong.calibration[i] *= i < half ? 0.33f : 1.0f;
+    wrong.calibration_added[i] = i < half ? 0.0f : 0.4f;
+  }
+  params.model = folder / "wrong.h5";
+  save_model(params.model, wrong, true);
+  const Dataset fresh = toy_dataset(task, 300, 2);
+
+  struct Rating {
+    double nse = 0.0, coverage = 0.0, count = 0.0;
+  };
+  const auto rate = [&](const std::filesystem::path& file, bool within, bool known) {
+    Params one = params;
+    one.model = file;
+    EmdPredictor predictor(one, host);
+    predictor.bind(task);
+    Rating rating;
+    for (const auto i : fresh.select(Split::test)) {
+      const auto& e = fresh.examples[i];
+      for (Index start = within ? 1 : 0; start < (within ? e.segments() : 1); ++start) {
+        PredictionCase from = whole_example(fresh, i);
+        if (!known) from.knowledge = MaterialKnowledge::none();
+        from.controls = e.controls.bottomRows(e.segments() - start);
+        from.state = e.states.row(start).transpose();
+        from.shape = std::make_shared<const Positions>(fresh.shape(i, start));
+        if (within) from.previous = std::make_shared<const Positions>(fresh.shape(i, start - 1));
+        for (Index j = 1; j <= e.segments() - start; ++j) from.segments.push_back(j);
+        const auto prediction = predictor.predict({from}, {});
+        for (Index j = 1; j <= e.segments() - start; ++j, ++rating.count) {
+          const auto& shape = prediction->shapes()[0][static_cast<std::size_t>(j) - 1];
+          const auto z = ((fresh.shape(i, start + j) - shape.mean).array() / shape.sigma.array()).abs().eval();
+          rating.nse += z.square().mean();
+          rating.coverage += (z < 1.0).cast<double>().mean();
+        }
+      }
+    }
+    return Rating{rating.nse / rating.count, rating.coverage / rating.count, rating.count};
+  };
+
+  EmdPredictor predictor(params, host);
+  predictor.bind(task);
+  const auto examples = fresh.unseen(predictor.trained_on());
+  EXPECT_EQ(examples.size(), 300 - fresh.select(Split::test).size());
+  const CalibrationReport report =
+      predictor.calibrate(fresh, examples, task, {.seed = 5, .model = folder / "right.h5"});
+  EXPECT_EQ(report.examples, static_cast<std::int64_t>(examples.size()));
+  ASSERT_EQ(report.rows.size(), 4u);
+  for (const bool within : {false, true}) {
+    for (const bool known : {true, false}) {
+      const Rating before = rate(params.model, within, known), after = rate(folder / "right.h5", within, known);
+      SCOPED_TRACE(std::to_string(within) + std::to_string(known) + " " + std::to_string(before.nse) + " -> " +
+                   std::to_string(after.nse) + ", " + std::to_string(before.coverage) + " -> " +
+                   std::to_string(after.coverage) + ", " + std::to_string(after.count));
+      EXPECT_TRUE(before.nse < 0.3 || before.nse > 4.0);
+      EXPECT_GT(after.nse, 0.7);
+      EXPECT_LT(after.nse, 1.4);
+      EXPECT_GT(after.coverage, 0.6);
+      EXPECT_LT(after.coverage, 0.78);
+    }
+  }
+  // The predictor holds what it wrote; and all but the calibration is what it was.
+  const Model right = load_model(folder / "right.h5");
+  EXPECT_NE(right.calibration, wrong.calibration);
+  ASSERT_EQ(right.calibrated.size(), 1u);
+  EXPECT_EQ(right.calibrated[0].identity, fresh.header.identity);
+  ASSERT_EQ(predictor.calibrated_on().size(), 1u);
+  ASSERT_EQ(right.datasets.size(), 1u);
+  EXPECT_EQ(right.datasets[0].identity, wrong.datasets[0].identity);
+  Model back = right;
+  back.calibration = wrong.calibration;
+  back.calibration_added = wrong.calibration_added;
+  back.calibrated.clear();
+  save_model(folder / "back.h5", back, true);
+  EXPECT_EQ(bytes_of(folder / "back.h5"), bytes_of(folder / "wrong.h5"));
+  // Found on the same examples, whatever it was before.
+  params.model = folder / "fitted.h5";
+  EmdPredictor(params, host).calibrate(fresh, examples, task, {.seed = 5, .model = folder / "again.h5"});
+  EXPECT_EQ(bytes_of(folder / "again.h5"), bytes_of(folder / "right.h5"));
+}
+
+TEST(EmdRecalibration, WeightsOfFullPrecisionStayWhole) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host;
+  const Params params = fitted(folder, task, false);
+  const Model before = load_model(params.model);
+  ASSERT_FALSE(fits_half(before));
+  const Dataset fresh = toy_dataset(task, 20, 2);
+  EmdPredictor predictor(params, host);
+  predictor.calibrate(fresh, fresh.unseen(before.datasets), task, {.seed = 5, .model = folder / "new.h5"});
+  const Model after = load_model(folder / "new.h5");
+  EXPECT_EQ(after.weights, before.weights);
+  EXPECT_EQ(after.basis, before.basis);
+}
+
+// A prediction within a session begins where there is a shape before: never with the first one.
+TEST(EmdRecalibration, StartsWithinASessionAreNeverItsFirstShape) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host;
+  const Params params = fitted(folder, task);
+  Dataset fresh = toy_dataset(task, 40, 2);
+  const auto width = static_cast<std::size_t>(3 * fresh.header.vertices);
+  for (auto& e : fresh.examples) {  // a third of one segment, the others of two
+    const Index k = e.index % 3 == 0 ? 1 : 2;
+    e.controls = e.controls.topRows(k).eval();
+    e.states = e.states.topRows(k + 1).eval();
+    e.targets = e.targets.topRows(k + 1).eval();
+    e.shapes.resize(static_cast<std::size_t>(k + 1) * width);
+    e.released = false;
+  }
+  EmdPredictor predictor(params, host);
+  predictor.bind(task);
+  const auto examples = fresh.unseen(predictor.trained_on());
+  const auto longer =
+      std::count_if(examples.begin(), examples.end(), [&](std::size_t i) { return fresh.examples[i].segments() == 2; });
+  const auto report = predictor.calibrate(fresh, examples, task, {.seed = 5});
+  for (const auto& row : report.rows) {
+    if (row.from_start) {
+      EXPECT_EQ(row.predictions, static_cast<std::int64_t>(examples.size()));
+      EXPECT_EQ(row.shapes, (std::vector<std::int64_t>{row.predictions, longer}));
+    } else {
+      EXPECT_EQ(row.predictions, 4 * longer);
+      EXPECT_EQ(row.shapes, (std::vector<std::int64_t>{4 * longer}));
+    }
+  }
+}
+
+TEST(EmdRecalibration, TheFirstDatasetDecidesAndOthersFillIn) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host;
+  const Params params = fitted(folder, task);
+  const Dataset calm = toy_dataset(task, 200, 2);
+  Dataset wild = toy_dataset(task, 200, 3);
+  RandomStream random(6);
+  for (auto& e : wild.examples) {
+    for (float& x : e.shapes) x += static_cast<float>(0.05 * random.normal());
+  }
+  const auto rows = [&](const Dataset& first, const Dataset* second) {
+    Dataset all = first;
+    if (second != nullptr) all.append(*second);
+    EmdPredictor predictor(params, host);
+    predictor.bind(task);
+    return predictor.calibrate(all, all.unseen(predictor.trained_on()), task, {.seed = 5}).rows;
+  };
+  const auto alone = rows(calm, nullptr), with_wild = rows(calm, &wild), wild_first = rows(wild, &calm);
+  for (const std::size_t row : {0u, 1u}) {  // from the start: every example has one
+    EXPECT_EQ(with_wild[row].factor[0], alone[row].factor[0]);
+    EXPECT_EQ(with_wild[row].added_m[0], alone[row].added_m[0]);
+    EXPECT_EQ(with_wild[row].shapes[0], alone[row].shapes[0]);
+    EXPECT_GT(wild_first[row].factor[0] * (1e-3 + wild_first[row].added_m[0]),
+              2.0 * alone[row].factor[0] * (1e-3 + alone[row].added_m[0]));
+  }
+  // Few have the most segments: there the wild ones are heard.
+  const auto& longest = with_wild[0];
+  EXPECT_LT(longest.shapes.back(), 20);
+  EXPECT_GT(longest.factor.back() * (1e-3 + longest.added_m.back()),
+            alone[0].factor.back() * (1e-3 + alone[0].added_m.back()));
+}
+
+TEST(EmdRecalibration, WhatCannotBeCalibratedIsRefused) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host;
+  const Dataset fresh = toy_dataset(task, 20, 2);
+  const auto refusal = [&](const Params& params, const Task& on, const std::vector<std::size_t>& examples) {
+    const std::string message = message_of<ConfigError>(
+        [&] { EmdPredictor(params, host).calibrate(fresh, examples, on, {.seed = 5, .model = folder / "none.h5"}); });
+    EXPECT_FALSE(std::filesystem::exists(folder / "none.h5"));
+    return message;
+  };
+  Params params = small_and_quick();
+  EXPECT_THAT(refusal(params, task, {0}), HasSubstr("needs a model file"));
+  params.untrained = true;
+  EXPECT_THAT(refusal(params, task, {0}), HasSubstr("random weights"));
+  params = fitted(folder, task);
+  EXPECT_THAT(refusal(params, task, {}), HasSubstr("no example"));
+  EXPECT_THAT(refusal(params, patch_task(6), {0}), HasSubstr("the garment"));
+  /// One that learns and cannot do that.
+  struct Plain final : TrainablePredictor {
+    FitReport fit(const Dataset&, const Task&, const FitOptions&, const FitObserver&) override { return {}; }
+    void save(const std::filesystem::path&) const override {}
+    void load(const std::filesystem::path&) override {}
+  } plain;
+  EXPECT_THAT(message_of<ConfigError>([&] { plain.calibrate(fresh, {0}, task, {}); }), HasSubstr("cannot calibrate"));
 }
 
 TEST(EmdTraining, TheBestModelSoFarCanBeUsedMeanwhile) {

@@ -320,6 +320,83 @@ TEST(Dataset, SaysWhenASplitIsNotWhatAModelTookItFor) {
   EXPECT_THAT(message_of<ConfigError>([] { split_named("tset"); }), HasSubstr("'tset'"));
 }
 
+TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "d", 40, host);
+  Dataset data = Dataset::load(folder / "d");
+  const DatasetOrigin own = data.header.origin();
+  const auto train = data.select(Split::train), validation = data.select(Split::validation);
+  ASSERT_GT(validation.size(), 1u);
+  const auto joined = [](std::vector<std::size_t> a, const std::vector<std::size_t>& b) {
+    a.insert(a.end(), b.begin(), b.end());
+    std::sort(a.begin(), a.end());
+    return a;
+  };
+  const DatasetOrigin other{"of another seed", own.seed + 1, 0.5, 0.0};
+  EXPECT_EQ(data.unseen({own}), validation);
+  EXPECT_EQ(data.unseen({other}), joined(train, validation));
+  EXPECT_EQ(data.unseen({other, own}), validation);
+  EXPECT_EQ(data.unseen({}), validation);  // who knows
+  // The same numbers of the same seed under another config: much the same examples.
+  DatasetOrigin similar = own;
+  similar.identity = "of another distribution";
+  EXPECT_EQ(data.unseen({similar}), validation);
+  // ... and otherwise split: what was tested there is no good here, nor is what is tested here.
+  similar.test_fraction = 0.5 * own.test_fraction;
+  similar.validation_fraction = 1.0 - similar.test_fraction;
+  std::vector<std::size_t> wanted;
+  for (const auto i : joined(train, validation)) {
+    if (similar.split(data.examples[i].index) == Split::validation) wanted.push_back(i);
+  }
+  EXPECT_EQ(data.unseen({similar}), wanted);
+  similar.validation_fraction = 0.0;
+  EXPECT_TRUE(data.unseen({similar}).empty());
+
+  // Of several, each by what it is; one that failed is none.
+  Dataset both = data, second = data, third = data;
+  second.header.identity = other.identity;
+  second.header.seed = other.seed;
+  second.examples[train.front()].failure = "diverged";
+  third.header.identity = "a third";
+  third.header.seed = own.seed + 2;
+  second.append(third);
+  both.append(second);
+  EXPECT_EQ(both.begins, (std::vector<std::size_t>{0, 40, 80}));
+  EXPECT_EQ(both.source(0), 0u);
+  EXPECT_EQ(both.source(39), 0u);
+  EXPECT_EQ(both.source(40), 1u);
+  EXPECT_EQ(both.source(119), 2u);
+  EXPECT_EQ(data.source(39), 0u);
+  std::vector<std::size_t> chosen = validation;
+  for (const auto i : joined(train, validation)) {
+    if (i != train.front()) chosen.push_back(40 + i);
+  }
+  for (const auto i : joined(train, validation)) chosen.push_back(80 + i);
+  EXPECT_EQ(both.unseen({own}), chosen);
+}
+
+TEST(Dataset, SaysWhenSigmaWasCalibratedOnASplit) {
+  const Folder folder;
+  ToyHost host(2);
+  generate(folder / "d", 40, host);
+  const Dataset data = Dataset::load(folder / "d");
+  const DatasetOrigin own = data.header.origin(), other{"of another seed", own.seed + 1, 0.2, 0.3};
+  const auto all_of = [&](Split split, const std::vector<DatasetOrigin>& trained_on) {
+    const std::string n = std::to_string(data.select(split).size());
+    const std::string warning = data.held_out_warning(split, trained_on, {own});
+    return warning.find(n + " of the " + n) != std::string::npos &&
+           warning.find("its sigma was calibrated on") != std::string::npos;
+  };
+  EXPECT_TRUE(all_of(Split::train, {other}));
+  EXPECT_TRUE(all_of(Split::validation, {other}));
+  EXPECT_EQ(data.held_out_warning(Split::test, {other}, {own}), "");
+  // Trained on the same: the validation split alone was calibrated on, see unseen().
+  EXPECT_EQ(data.held_out_warning(Split::train, {own}, {own}), "");
+  EXPECT_TRUE(all_of(Split::validation, {own}));
+  EXPECT_EQ(data.held_out_warning(Split::validation, {own}, {other}), "");
+}
+
 TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {
   const Folder folder;
   ToyHost host(2);
