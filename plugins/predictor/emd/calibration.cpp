@@ -3,6 +3,7 @@
 #include "calibration.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 #include "passes.hpp"
 #include "training.hpp"
@@ -39,11 +40,10 @@ std::vector<CalibrationRow> find_calibration(Passes& passes, Model& model, const
       }
       std::vector<SigmaTally> steps[2];
       for (int other = 0; other < 2; ++other) {
-        const auto batches = passes.in_batches(all[other]);
-        std::vector<std::vector<SigmaTally>> parts(batches.size());
-        passes.side_by_side(batches.size(), [&](std::size_t b) {
+        std::vector<std::vector<SigmaTally>> parts(Passes::batches(all[other]));
+        passes.side_by_side(parts.size(), [&](std::size_t b) {
           const at::NoGradGuard guard;
-          const auto& batch = batches[b];
+          const Batch batch = passes.batch(all[other], b);  // one at a time: all of them would be all shapes many times
           const Graph::Output out = passes.forward(graph, batch);
           const Tensor error = (out.mean - passes.target(batch)).contiguous(),
                        sigma = passes.sigma_of(out).contiguous();
@@ -86,7 +86,8 @@ std::vector<CalibrationRow> find_calibration(Passes& passes, Model& model, const
         added_curve.push_back(choice.added);
         row.shapes.push_back(static_cast<std::int64_t>(steps[0][j].shapes()));
         row.factor.push_back(static_cast<double>(choice.factor));
-        row.added_m.push_back(static_cast<double>(choice.added * kLength));
+        const double added_m = static_cast<double>(choice.added * kLength);
+        row.added_m.push_back(std::round(1e7 * added_m) / 1e7);  // without the noise of floats
       }
       longest = std::max(longest, factor_curve.size());
     }

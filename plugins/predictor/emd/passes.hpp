@@ -195,14 +195,16 @@ class Passes {
     return batch;
   }
 
+  static constexpr std::size_t kBatch = 32;
+  static std::size_t batches(const std::vector<Sequence>& all) { return (all.size() + kBatch - 1) / kBatch; }
+  Batch batch(const std::vector<Sequence>& all, std::size_t number) const {
+    const auto begin = all.begin() + static_cast<std::ptrdiff_t>(kBatch * number);
+    return make_batch({begin, begin + std::min<std::ptrdiff_t>(kBatch, all.end() - begin)});
+  }
   std::vector<Batch> in_batches(const std::vector<Sequence>& all) const {
-    std::vector<Batch> batches;
-    for (std::size_t i = 0; i < all.size(); i += 32) {
-      const auto first = all.begin() + static_cast<std::ptrdiff_t>(i);
-      batches.push_back(
-          make_batch({first, first + static_cast<std::ptrdiff_t>(std::min<std::size_t>(32, all.size() - i))}));
-    }
-    return batches;
+    std::vector<Batch> made;
+    for (std::size_t b = 0; b < batches(all); ++b) made.push_back(batch(all, b));
+    return made;
   }
 
   Tensor sigma_of(const Graph::Output& out) const {
