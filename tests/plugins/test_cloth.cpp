@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <new>
+#include <set>
 
 // Compiled in, so that the parts can be reached (with -march as the plugin).
 #include "simulator/cloth/cloth.cpp"
@@ -401,6 +402,7 @@ TEST(Cloth, ScaledInertiaTakesFewerSubstepsAndHangsTheSame) {
     Params p;
     p.settle_damping_per_s = 20.0;
     p.inertia_length_m = scaled ? 0.012 : 0.0;
+    p.fine_inertia_length_m = 0.0;
     Cloth cloth(p);
     cloth.reset(garment, fabric(), scene);
     cloth.settle({.speed = 1e-4, .hold_frames = 30, .max_frames = 400});
@@ -505,6 +507,158 @@ TEST(ClothStability, FoldedClothKeepsTheBound) {
       EXPECT_GT(number, 0.4);
     }
   }
+}
+
+/// A sheet that is laid over itself along given paths: the part beyond a line rolls over until its layers are closer
+/// than they may be, and shakes a little.
+struct Rolling {
+  Rolling() : garment(sheet(36, 20, 0.005, 0.4)) {}
+  Positions at(double t) const {
+    Positions x = garment.positions;
+    constexpr double kLine = 0.08;  // m, of 0.175 m
+    const double angle = std::numbers::pi * std::min(1.0, t / 0.6);
+    const double radius = 0.008 - 0.0072 * std::min(1.0, t / 0.9);  // m: the layers end 1.6 mm apart
+    for (Index i = 0; i < x.rows(); ++i) {
+      const double beyond = x(i, 0) - kLine;
+      if (beyond <= 0.0) continue;
+      const double bent = std::min(angle, beyond / radius), straight = beyond - radius * bent;
+      x(i, 0) = kLine + radius * std::sin(bent) + straight * std::cos(bent);
+      x(i, 2) = radius * (1.0 - std::cos(bent)) + straight * std::sin(bent);
+      if (i % 7 == 0) x(i, 2) += 0.0006 * std::sin(40.0 * t + 0.3 * static_cast<double>(i)) * std::min(1.0, 5.0 * t);
+    }
+    return x;
+  }
+  Garment garment;
+};
+
+TEST(ClothContact, EveryPairWithinItsDistanceIsACandidateThoughFewVerticesAreSearchedFor) {
+  const Rolling rolling;
+  const Topology topology(rolling.garment);
+  Fabric f = fabric();
+  f.thickness_m = 0.002;
+  const Elements elements(topology, f);
+  const SelfContact contact(topology, f, 0.4f, 0);
+  SelfContact::State state;
+  contact.clear(state);
+  const auto n = static_cast<std::size_t>(topology.vertices);
+  std::vector<Double4> x(n), v(n);
+  std::vector<Fixed4> fixed(n);
+  const std::vector<Fixed4> rest = Shape(rolling.garment.positions).x;
+  constexpr double kStep = 0.6e-3, kEnd = 1.2;
+  const __m256d per_unit = _mm256_set1_pd(1.0 / elements.unit());
+  const auto place = [&](double t) {
+    const Positions now = rolling.at(t), next = rolling.at(t + kStep);
+    for (std::size_t i = 0; i < n; ++i) {
+      const auto row = static_cast<Index>(i);
+      const Vec3 p = now.row(row), u = (next.row(row) - now.row(row)) / kStep;
+      x[i] = {p.x(), p.y(), p.z(), 0.0};
+      v[i] = {u.x(), u.y(), u.z(), 0.0};
+      fixed[i] = to_fixed(load(x[i]), per_unit);
+    }
+  };
+  const auto known = [&](const SelfContact::Pairs& pairs) {
+    std::set<std::array<std::int32_t, 4>> set;
+    for (const SelfContact::Candidate& c : pairs.candidate) set.insert({c.v[0], c.v[1], c.v[2], c.v[3]});
+    EXPECT_EQ(set.size(), pairs.size()) << "a pair is listed twice";
+    return set;
+  };
+  long few = 0, pairs = 0;
+  for (long step = 0; step * kStep < kEnd; ++step) {
+    place(static_cast<double>(step) * kStep);
+    const bool due = !state.valid || state.elapsed + kStep > state.horizon;
+    contact.prepare(state, x.data(), v.data(), fixed.data(), elements.unit(), kStep);
+    few += due && state.elapsed > 0.0;
+    if (step % 25 == 0) {
+      const auto faces = known(state.vertex_triangle), edges = known(state.edge_edge);
+      const auto near = [&](const std::array<std::int32_t, 4>& q, auto is_edge) {
+        constexpr bool kEdges = decltype(is_edge)::value;
+        double low[2][3], high[2][3];
+        std::fill(&low[0][0], &low[0][0] + 6, 1e9), std::fill(&high[0][0], &high[0][0] + 6, -1e9);
+        for (int k = 0; k < 4; ++k) {
+          const Double4& p = x[static_cast<std::size_t>(q[static_cast<std::size_t>(k)])];
+          const int side = k >= (kEdges ? 2 : 1);
+          const double c[3] = {p.x, p.y, p.z};
+          for (int d = 0; d < 3; ++d)
+            low[side][d] = std::min(low[side][d], c[d]), high[side][d] = std::max(high[side][d], c[d]);
+        }
+        const double reach = (kEdges ? 0.8 : 1.0) * f.thickness_m;
+        for (int d = 0; d < 3; ++d)
+          if (low[0][d] > high[1][d] + reach || low[1][d] > high[0][d] + reach) return false;
+        const auto distance = [&](const std::vector<Fixed4>& shape) {
+          const Stored m(measure<kEdges>([&](int k, int) { return q[static_cast<std::size_t>(k)]; }, nullptr,
+                                         shape.data(), static_cast<float>(elements.unit())));
+          return static_cast<double>(m.distance[0]);
+        };
+        // Neighbours in the rest shape have a smaller distance of their own.
+        return distance(fixed) < reach && distance(rest) > 2.0 * reach;
+      };
+      for (std::int32_t i = 0; i < topology.vertices; ++i)
+        for (const auto& face : topology.faces) {
+          if (face[0] == i || face[1] == i || face[2] == i) continue;
+          const std::array<std::int32_t, 4> q{i, face[0], face[1], face[2]};
+          if (!near(q, std::false_type{})) continue;
+          ++pairs;
+          EXPECT_TRUE(faces.count(q)) << "vertex " << i << " in step " << step;
+        }
+      for (std::size_t e = 0; e < topology.edges.size(); ++e)
+        for (std::size_t g = e + 1; g < topology.edges.size(); ++g) {
+          const auto &a = topology.edges[e], &b = topology.edges[g];
+          if (a[0] == b[0] || a[0] == b[1] || a[1] == b[0] || a[1] == b[1]) continue;
+          const std::array<std::int32_t, 4> q{a[0], a[1], b[0], b[1]};
+          if (!near(q, std::true_type{})) continue;
+          ++pairs;
+          EXPECT_TRUE(edges.count(q)) << "edge " << e << " in step " << step;
+        }
+    }
+    const Positions next = rolling.at(static_cast<double>(step + 1) * kStep);
+    state.elapsed += kStep;
+    for (std::size_t i = 0; i < n; ++i) {
+      const Vec3 p = next.row(static_cast<Index>(i));
+      state.path[i] += static_cast<float>((p - Vec3(x[i].x, x[i].y, x[i].z)).norm());
+      const Vec3 path(state.start[i].x + state.elapsed * state.drift[i].x,
+                      state.start[i].y + state.elapsed * state.drift[i].y,
+                      state.start[i].z + state.elapsed * state.drift[i].z);
+      if ((p - path).norm() > contact.slack()) state.valid = false;
+    }
+  }
+  EXPECT_GT(pairs, 5000);
+  EXPECT_GT(few, 30) << "all were searched for each time";
+}
+
+TEST(ClothContact, WhatWasFlatIsSearchedWholeOnceItIsFlatNoMore) {
+  // A valley whose normals keep within a cone: no search, though the feet of its walls are within thickness.
+  Garment garment = sheet(21, 12, 0.005);
+  const double line = 0.05, tilt = 0.35;
+  for (Index i = 0; i < garment.vertex_count(); ++i) {
+    const double beyond = garment.rest(i, 0) - line;
+    garment.positions(i, 0) = line + std::cos(tilt) * beyond;
+    garment.positions(i, 2) = std::sin(tilt) * std::abs(beyond);
+  }
+  const Topology topology(garment);
+  Fabric f = fabric();
+  f.thickness_m = 0.012;
+  const SelfContact contact(topology, f, 0.4f, 0);
+  SelfContact::State state;
+  contact.clear(state);
+  const auto n = static_cast<std::size_t>(topology.vertices);
+  std::vector<Double4> x(n), v(n);
+  const auto search = [&] {
+    for (std::size_t i = 0; i < n; ++i) {
+      const auto row = garment.positions.row(static_cast<Index>(i));
+      x[i] = {row[0], row[1], row[2], 0.0};
+    }
+    contact.prepare(state, x.data(), v.data(), Shape(garment.positions).x.data(), kUnit, 1e-3);
+  };
+  search();
+  EXPECT_EQ(state.vertex_triangle.size(), 0u);
+  garment.positions(20, 0) -= 0.006;  // the tip of a wall bends back
+  garment.positions(20, 2) -= 0.004;
+  state.elapsed += 1e-3;
+  state.valid = false;
+  search();
+  EXPECT_GT(state.elapsed, 0.0) << "all were searched for";
+  const auto across = [&](const SelfContact::Candidate& c) { return c.v[0] % 21 == 9 && c.v[1] % 21 > 10; };
+  EXPECT_GE(std::count_if(state.vertex_triangle.candidate.begin(), state.vertex_triangle.candidate.end(), across), 12);
 }
 
 TEST(Cloth, FoldsSettlesAndNeverCrossesItself) {

@@ -18,7 +18,11 @@ constexpr double kBlockSeconds = 1.2e-3;
 constexpr float kGain = 3.0f;
 // A layer under its own weight may sink into another by this part of the thickness. Only long steps come near it, and
 // springs that give under weight give along it, too: at 0.08 a layer of 1 mm went 0.12 mm before it stuck.
-constexpr double kSink = 0.08, kSinkScaled = 0.04;
+constexpr double kSink = 0.08, kSinkScaled = 0.05;
+// Part of the explicit limit that the springs of contact take. A mesh is scaled so that the elements leave them more.
+constexpr float kSpring = 0.4f, kSpringScaled = 0.5f;
+// A mesh with shorter edges than this in the mean, m, is a fine one.
+constexpr double kFineEdge = 0.012;
 // A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
 constexpr double kRise = 0.05;
 
@@ -67,22 +71,26 @@ void Cloth::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, 
   scene_ = scene;
   topology_ = std::make_unique<Topology>(*garment_);
   elements_ = std::make_unique<Elements>(*topology_, fabric_);
-  contact_ = std::make_unique<SelfContact>(*topology_, fabric_);
   masses_.resize(n);
   for (Index i = 0; i < n; ++i) masses_[i] = fabric_.density_kg_per_m2 * topology_->vertex_area[i];
   pinned_.assign(n, 0);
   for (const Index pin : scene_.pins) pinned_[pin] = 1;
+  const double inertia_length = topology_->mean_edge < kFineEdge
+                                    ? std::max(params_.inertia_length_m, params_.fine_inertia_length_m)
+                                    : params_.inertia_length_m;
   scaling_ = std::make_unique<MassScaling>(*topology_, elements_->stiffest_membrane(), fabric_.density_kg_per_m2,
-                                           masses_, params_.inertia_length_m);
+                                           masses_, inertia_length);
   spectrum_ = largest_frequencies(*elements_, masses_, *scaling_);
   damping_part_ = damping_part(spectrum_, fabric_.damping_stretch_s, fabric_.damping_bend_s, params_.step_safety,
                                params_.damping_least_step);
   elements_->scale_damping(damping_part_);
   longest_step_ = stable_step(spectrum_, damping_part_ * fabric_.damping_stretch_s,
                               damping_part_ * fabric_.damping_bend_s, params_.step_safety);
+  const bool scaled = scaling_->stages() > 1;
+  contact_ = std::make_unique<SelfContact>(*topology_, fabric_, scaled ? kSpringScaled : kSpring);
   if (params_.self_contact)
-    longest_step_ = std::min(
-        longest_step_, contact_->longest_step(scene_.gravity.norm(), scaling_->stages() > 1 ? kSinkScaled : kSink));
+    longest_step_ =
+        std::min(longest_step_, contact_->longest_step(scene_.gravity.norm(), scaled ? kSinkScaled : kSink));
   floor_ =
       scene_.ground_height ? *scene_.ground_height + fabric_.thickness_m : -std::numeric_limits<double>::infinity();
   const double frame_substeps = kFrameSeconds / longest_step_;
@@ -339,18 +347,24 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
 
 struct Cloth::Gain {
   double dt;
-  __m256d gravity, keep;
+  __m256d step4, gravity, keep;
+  const Float4* scaled = nullptr;  ///< m/s^2, all of the acceleration where inertia is scaled
   Gain(double step, double drag, const Vec3& g)
       : dt(step),
+        step4(_mm256_set1_pd(step)),
         gravity(_mm256_setr_pd(step * g.x(), step * g.y(), step * g.z(), 0.0)),
         keep(_mm256_set1_pd(1.0 / (1.0 + step * drag))) {}
 };
 
-/// (v + dt (f / m + g)) / (1 + dt drag).
+/// (v + dt (f / m + g)) / (1 + dt drag), or with p(W L) W (f + m g + ground).
 inline __m256d Cloth::accelerated(std::int32_t i, const Gain& gain) const {
   const __m256d v = load(state_.v[i]);
   const float w = state_.inverse_mass[i];
   if (w == 0.0f) return v;
+  if (gain.scaled) {
+    const __m256d a = _mm256_cvtps_pd(_mm_load_ps(&gain.scaled[i].x));
+    return _mm256_mul_pd(_mm256_fmadd_pd(a, gain.step4, v), gain.keep);
+  }
   const __m256d f = _mm256_cvtps_pd(_mm_load_ps(&forces_[i].x));
   const __m256d change = _mm256_fmadd_pd(f, _mm256_set1_pd(gain.dt * static_cast<double>(w)), gain.gravity);
   return _mm256_mul_pd(_mm256_add_pd(v, change), gain.keep);
@@ -370,11 +384,10 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
 
   const bool stop = params_.self_contact && contact_->has_fast();
   // Where nothing comes between the two, a vertex is accelerated when it moves, which saves a pass over the vertices.
-  const bool together = scaling_->stages() == 1 && !stop;
-  const Gain gain(dt, drag, scene_.gravity);
-  if (scaling_->stages() > 1)
-    accelerate_scaled(dt, drag);
-  else if (!together)
+  const bool together = !stop;
+  Gain gain(dt, drag, scene_.gravity);
+  if (scaling_->stages() > 1) gain.scaled = scaled_accelerations(dt);
+  if (!together)
     for (std::int32_t i = 0; i < n; ++i) store(state_.v[i], accelerated(i, gain));
   if (stop) contact_->stop(state_.x.data(), dt, floor_, fabric_.friction, state_.inverse_mass.data(), state_.v.data());
 
@@ -463,10 +476,10 @@ void Cloth::rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, 
   a.y = part * a.y - braking * v.y;
 }
 
-/// The same with p(W L) W (f + m g + ground). The ground's force is what a vertex needs by itself, as if its mass were
+/// p(W L) W (f + m g + ground) [V], m/s^2. The ground's force is what a vertex needs by itself, as if its mass were
 /// lumped; a component that it stops takes no part in p(W L) W. So reactions, and what sticks, are those of
 /// equilibrium.
-void Cloth::accelerate_scaled(double dt, double drag) {
+const Float4* Cloth::scaled_accelerations(double dt) {
   const auto n = static_cast<std::int32_t>(state_.x.size());
   const __m256d gravity = _mm256_setr_pd(scene_.gravity.x(), scene_.gravity.y(), scene_.gravity.z(), 0.0);
   for (std::int32_t i = 0; i < n; ++i) {
@@ -482,13 +495,7 @@ void Cloth::accelerate_scaled(double dt, double drag) {
     if (state_.x[i].z + dt * state_.v[i].z <= floor_) rest_on_ground(state_.x[i], dt, state_.v[i], a, free_[i]);
     _mm_store_ps(&forces_[i].x, _mm256_cvtpd_ps(load(a)));
   }
-  const Float4* scaled = scaling_->apply(forces_.data(), free_.data());
-  const __m256d step = _mm256_set1_pd(dt), keep = _mm256_set1_pd(1.0 / (1.0 + dt * drag));
-  for (std::int32_t i = 0; i < n; ++i) {
-    if (state_.inverse_mass[i] == 0.0f) continue;
-    const __m256d a = _mm256_cvtps_pd(_mm_load_ps(&scaled[i].x));
-    store(state_.v[i], _mm256_mul_pd(_mm256_fmadd_pd(a, step, load(state_.v[i])), keep));
-  }
+  return scaling_->apply(forces_.data(), free_.data());
 }
 
 void Cloth::update_grasp_strain() {

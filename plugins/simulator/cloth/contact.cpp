@@ -8,9 +8,8 @@
 namespace weft::cloth {
 namespace {
 
-// Part of the explicit limit dt^2 lambda = 4 that contact takes: 0.4 for the spring and 2 * 0.45 for the dashpot; the
+// Part of the explicit limit dt^2 lambda = 4 that contact takes besides the spring: 2 * 0.45 for the dashpot; the
 // elements take 4 * 0.8^2 = 2.56 at the default step_safety.
-constexpr float kSpring = 0.4f;
 constexpr float kDashpot = 0.45f;
 // A vertex counts as if it carried at least this sum of |weight| (two layers give 2 to 4), and only pairs that touch
 // count: pairs which come and go must not change the stiffness of the others. When fast approach brought in more pairs,
@@ -27,6 +26,15 @@ constexpr float kEdgePart = 0.8f;
 // Slack of the candidates as a part of the mean edge: more of it finds more pairs, which all have to be looked at, less
 // of it searches more often. From 0.02 to 0.06 there is little between them.
 constexpr float kSlack = 0.05f;
+// Candidates are good for this long at most, s; where a search is for few vertices, all are searched for after so long.
+// (After a second, layers at rest had more than twice the candidates: whatever could touch in all that time.)
+constexpr double kLongest = 1.0, kRenewal = 0.1;
+// Where a search is for few vertices: those that have used this part of their slack, or whose path ends within this
+// many frames, are searched for before they have to be.
+constexpr float kNear = 0.25f;
+constexpr double kSoon = 0.4;
+// Of the table of remembered pairs: the upper half of a pair's key, and its place in the list. The last is never taken.
+constexpr std::uint64_t kTag = 0xffffffff00000000ull, kFree = ~0ull;
 
 struct Measured {
   F8 distance;  // m, negative: on the wrong side
@@ -145,27 +153,31 @@ template <bool kEdges, class Vertex>
 
 /// Measures eight candidates on the sides that they remember.
 template <bool kEdges>
-Measured measure(const SelfContact::Candidate* const (&list)[8], const Fixed4* x, float unit) {
-  const auto record = [&](auto member) {  // the member and the two numbers after it, of every candidate
-    return as_float(load8([&](int lane) { return &(list[lane]->*member)[0]; }));
-  };
+Measured measure(SelfContact::Candidate* const (&list)[8], SelfContact::Contact* const (&contact)[8], const Fixed4* x,
+                 float unit) {
   Memory memory;
-  memory.normal = record(&SelfContact::Candidate::normal);
+  memory.normal = as_float(load8([&](int lane) { return contact[lane]->normal; }));
   memory.known = less(splat(0.5f), dot(memory.normal, memory.normal));
   const auto reach = [&](int lane) { return kEdges ? 0.5f * list[lane]->distance : list[lane]->distance; };
   memory.reach = _mm256_setr_ps(reach(0), reach(1), reach(2), reach(3), reach(4), reach(5), reach(6), reach(7));
   return measure<kEdges>([&](int k, int lane) { return list[lane]->v[k]; }, &memory, x, unit);
 }
 
+template <class Body>
+[[gnu::always_inline]] inline void each_lane(unsigned mask, Body&& body) {
+  for (; mask != 0; mask &= mask - 1) body(__builtin_ctz(mask));
+}
+
 struct Stored {
-  alignas(32) float distance[8], normal[3][8], weight[4][8], inside[8];
+  alignas(32) float distance[8], normal[3][8], weight[4][8];
+  unsigned inside;  // lanes
   explicit Stored(const Measured& m) {
     _mm256_store_ps(distance, m.distance);
     _mm256_store_ps(normal[0], m.normal.x);
     _mm256_store_ps(normal[1], m.normal.y);
     _mm256_store_ps(normal[2], m.normal.z);
     for (int k = 0; k < 4; ++k) _mm256_store_ps(weight[k], m.weight[k]);
-    _mm256_store_ps(inside, _mm256_and_ps(m.inside, splat(1.0f)));
+    inside = static_cast<unsigned>(_mm256_movemask_ps(m.inside));
   }
 };
 
@@ -190,12 +202,14 @@ double segment_distance2(const std::array<double, 2>& p, const std::array<double
 
 }  // namespace
 
-SelfContact::SelfContact(const Topology& topology, const Fabric& fabric)
+SelfContact::SelfContact(const Topology& topology, const Fabric& fabric, float spring, std::int32_t piecewise)
     : topology_(&topology),
       thickness_(static_cast<float>(fabric.thickness_m)),
       edge_thickness_(kEdgePart * static_cast<float>(fabric.thickness_m)),
       friction_(static_cast<float>(fabric.self_friction)),
-      slack_(kSlack * static_cast<float>(topology.mean_edge)) {
+      spring_(spring),
+      slack_(kSlack * static_cast<float>(topology.mean_edge)),
+      piecewise_(piecewise) {
   make_patches();
 }
 
@@ -356,8 +370,8 @@ bool SelfContact::nearly_convex(const std::vector<std::int32_t>& faces) const {
 }
 
 double SelfContact::longest_step(double g, double part) const {
-  // k depth = m g with k = kSpring m / (2 kLeastLoad dt^2).
-  return std::sqrt(part * thickness_ * kSpring / (2.0 * kLeastLoad * std::max(g, 1e-9)));
+  // k depth = m g with k = spring_ m / (2 kLeastLoad dt^2).
+  return std::sqrt(part * thickness_ * spring_ / (2.0 * kLeastLoad * std::max(g, 1e-9)));
 }
 
 void SelfContact::clear(State& state) const {
@@ -374,14 +388,19 @@ void SelfContact::clear(State& state) const {
   state.path.assign(padded(n), 0.0f);
   state.start.assign(n, Double4{});
   state.drift.assign(n, Double4{});
+  state.until.assign(n, 0.0);
+  state.elapsed = state.horizon = state.renewal = 0.0;
+  state.flat.assign(scratch_.nodes.size(), 0);
   state.touching = 0;
   scratch_.old.reserve(48 * n);
   scratch_.pending_faces.blocks.resize(kMostPending / 8);
   scratch_.pending_edges.blocks.resize(kMostPending / 8);
   scratch_.table.reserve(128 * n);
+  scratch_.met.reserve(16 * scratch_.nodes.size());
   scratch_.position.resize(n);
   scratch_.later.resize(n);
   scratch_.drift.resize(n);
+  scratch_.strayed.resize(n);
   scratch_.load.resize(n);
 }
 
@@ -465,81 +484,175 @@ bool SelfContact::elsewhere(const Candidate& pair, const float (&weight)[4], con
 
 void SelfContact::prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,
                           double block_seconds) const {
-  if (!state.valid || state.elapsed + block_seconds > state.horizon) find_candidates(state, x, v, fixed, unit);
+  if (!state.valid || state.elapsed + block_seconds > state.horizon)
+    find_candidates(state, x, v, fixed, unit, block_seconds);
 }
 
-void SelfContact::find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed,
-                                  double unit) const {
+/// Marks the vertices that are not near their path any more, or not until the block's end. A vertex past half the slack
+/// would be next. @return whether candidates are searched for all.
+bool SelfContact::choose_strayed(State& state, const Double4* x, double block_seconds) const {
   const std::int32_t n = topology_->vertices;
-  // Old memory by key, open addressing. Only pairs whose side or slip is known matter.
-  std::vector<std::int32_t>& table = scratch_.table;
-  std::vector<Candidate>& old = scratch_.old;
+  const double end = state.elapsed + block_seconds, soon = end + kSoon * kFrameSeconds;
+  const double near = std::pow(kNear * static_cast<double>(slack_), 2);
+  bool all = n < piecewise_ || end > state.renewal;
+  if (!all) {
+    const __m256d elapsed = _mm256_set1_pd(state.elapsed);
+    std::int32_t count = 0;
+    for (std::int32_t i = 0; i < n; ++i) {
+      const __m256d off =
+          _mm256_sub_pd(load(x[i]), _mm256_fmadd_pd(load(state.drift[i]), elapsed, load(state.start[i])));
+      Double4 square;
+      store(square, _mm256_mul_pd(off, off));
+      scratch_.strayed[i] = square.x + square.y + square.z > near || state.until[i] < soon;
+      count += scratch_.strayed[i];
+    }
+    all = 2 * count > n;
+  }
+  if (all) {
+    std::fill(scratch_.strayed.begin(), scratch_.strayed.end(), std::uint8_t{1});
+    std::fill(state.path.begin(), state.path.end(), 0.0f);
+    state.elapsed = 0.0;
+  }
+  return all;
+}
+
+/// Moves the pairs with a marked vertex out of the candidates: to scratch_.old those whose side or slip is known.
+void SelfContact::forget_strayed(State& state) const {
+  Pairs& old = scratch_.old;
+  const std::uint8_t* strayed = scratch_.strayed.data();
   old.clear();
-  for (const auto* list : {&state.vertex_triangle, &state.edge_edge})
-    for (const Candidate& c : *list)
-      if (c.normal[0] != 0.0f || c.normal[1] != 0.0f || c.normal[2] != 0.0f) old.push_back(c);
-  const std::size_t old_vertex_triangle = static_cast<std::size_t>(std::count_if(
-      state.vertex_triangle.begin(), state.vertex_triangle.end(),
-      [](const Candidate& c) { return c.normal[0] != 0.0f || c.normal[1] != 0.0f || c.normal[2] != 0.0f; }));
+  for (Pairs* list : {&state.vertex_triangle, &state.edge_edge}) {
+    std::size_t kept = 0;
+    for (std::size_t k = 0; k < list->size(); ++k) {
+      const Candidate& c = list->candidate[k];
+      if (strayed[c.v[0]] | strayed[c.v[1]] | strayed[c.v[2]] | strayed[c.v[3]]) {
+        if (list->contact[k].met()) old.add(c, list->contact[k]);
+        continue;
+      }
+      if (kept < k) {
+        list->candidate[kept] = c;
+        list->contact[kept] = list->contact[k];
+      }
+      ++kept;
+    }
+    list->candidate.resize(kept);
+    list->contact.resize(kept);
+    if (list == &state.vertex_triangle) scratch_.old_vertex_triangle = old.size();
+  }
+  std::vector<std::uint64_t>& table = scratch_.table;  // by key, open addressing
   std::size_t size = 64;
   while (size < 2 * old.size()) size *= 2;
-  table.assign(size, -1);
+  table.assign(size, kFree);
   for (std::size_t k = 0; k < old.size(); ++k) {
-    std::size_t at = key_of(old[k].v, k >= old_vertex_triangle) & (size - 1);
-    while (table[at] >= 0) at = (at + 1) & (size - 1);
-    table[at] = static_cast<std::int32_t>(k);
+    const std::uint64_t key = key_of(old.candidate[k].v, k >= scratch_.old_vertex_triangle);
+    std::size_t at = key & (size - 1);
+    while (table[at] != kFree) at = (at + 1) & (size - 1);
+    table[at] = (key & kTag) | k;
   }
-  const auto recall = [&](Candidate& c, bool edges) {
-    std::size_t at = key_of(c.v, edges) & (size - 1);
-    while (table[at] >= 0) {
-      const Candidate& o = old[table[at]];
-      if ((static_cast<std::size_t>(table[at]) >= old_vertex_triangle) == edges &&
-          std::memcmp(o.v, c.v, sizeof c.v) == 0) {
-        std::memcpy(c.normal, o.normal, sizeof c.normal);
-        std::memcpy(c.slip, o.slip, sizeof c.slip);
-        c.present = o.present;
-        c.mass = o.mass;
-        return;
-      }
-      at = (at + 1) & (size - 1);
-    }
-  };
+}
 
+/// @return whether the pair was known; then all but `due` is as it was.
+bool SelfContact::recall(Candidate& c, Contact& contact, bool edges) const {
+  const std::vector<std::uint64_t>& table = scratch_.table;
+  const std::size_t last = table.size() - 1;
+  const std::uint64_t key = key_of(c.v, edges);
+  for (std::size_t at = key & last; table[at] != kFree; at = (at + 1) & last) {
+    if ((table[at] ^ key) & kTag) continue;
+    const auto k = static_cast<std::size_t>(table[at] & ~kTag);
+    const Candidate& o = scratch_.old.candidate[k];
+    if ((k >= scratch_.old_vertex_triangle) != edges || std::memcmp(o.v, c.v, sizeof c.v) != 0) continue;
+    contact = scratch_.old.contact[k];
+    c.present = o.present;
+    c.distance = o.distance;
+    return true;
+  }
+  return false;
+}
+
+/// Marks all vertices of a node.
+void SelfContact::mark(std::int32_t node) const {
+  const Node& at = scratch_.nodes[node];
+  if (at.patch < 0) {
+    mark(at.left);
+    mark(at.right);
+    return;
+  }
+  for (const auto& corner : scratch_.faces[patches_[at.patch].faces[0]].corner)
+    for (const std::int32_t i : corner) scratch_.strayed[i] = 1;
+}
+
+/// After mark(): the marks of blocks and nodes.
+void SelfContact::spread_marks() const {
+  for (std::size_t index = scratch_.nodes.size(); index-- > 0;) {
+    Node& node = scratch_.nodes[index];
+    if (node.patch >= 0) {
+      BoxBlock& block = scratch_.faces[patches_[node.patch].faces[0]];
+      mark_lanes(block, 3);
+      node.strayed = block.strayed != 0;
+    } else {
+      node.strayed = scratch_.nodes[node.left].strayed || scratch_.nodes[node.right].strayed;
+    }
+  }
+}
+
+void SelfContact::mark_lanes(BoxBlock& block, int corners) const {
+  block.strayed = 0;
+  for (int k = 0; k < corners; ++k)
+    for (int lane = 0; lane < 8; ++lane)
+      block.strayed |= static_cast<unsigned>(scratch_.strayed[block.corner[k][lane]]) << lane;
+}
+
+void SelfContact::find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,
+                                  double block_seconds) const {
+  const std::int32_t n = topology_->vertices;
+  const bool all = choose_strayed(state, x, block_seconds);
+  std::vector<std::uint8_t>& strayed = scratch_.strayed;
   double low[3] = {1e300, 1e300, 1e300}, fastest = 0.0;
   for (std::int32_t i = 0; i < n; ++i) {
     low[0] = std::min(low[0], x[i].x), low[1] = std::min(low[1], x[i].y), low[2] = std::min(low[2], x[i].z);
     fastest = std::max(fastest, v[i].x * v[i].x + v[i].y * v[i].y + v[i].z * v[i].z);
-    state.path[i] = 0.0f;
-    state.start[i] = x[i];
-    state.drift[i] = v[i];
   }
-  // A frame, or longer where little moves.
-  state.elapsed = 0.0;
-  state.horizon = std::clamp(slack_ / std::max(std::sqrt(fastest), 1e-9), kFrameSeconds, 1.0);
-  const auto horizon = static_cast<float>(state.horizon);
+  // A path is good for a frame, or longer where little moves: in a search for few vertices each for itself.
+  const auto longest = [&](double speed) {
+    return std::clamp(slack_ / std::max(speed, 1e-9), kFrameSeconds, kLongest);
+  };
+  const double common = longest(std::sqrt(fastest));
+  if (all) state.renewal = n < piecewise_ ? common : kRenewal;
+  state.horizon = kLongest;
   std::vector<Float4>&position = scratch_.position, &later = scratch_.later, &drift = scratch_.drift;
   for (std::int32_t i = 0; i < n; ++i) {
-    position[i] = {static_cast<float>(x[i].x - low[0]), static_cast<float>(x[i].y - low[1]),
-                   static_cast<float>(x[i].z - low[2]), 0.0f};
-    drift[i] = {static_cast<float>(v[i].x), static_cast<float>(v[i].y), static_cast<float>(v[i].z), 0.0f};
-    later[i] = {position[i].x + horizon * drift[i].x, position[i].y + horizon * drift[i].y,
-                position[i].z + horizon * drift[i].z, 0.0f};
+    Double4 &start = state.start[i], &u = state.drift[i];
+    Double4 now = x[i];
+    if (strayed[i]) {
+      u = v[i];
+      start = {x[i].x - state.elapsed * u.x, x[i].y - state.elapsed * u.y, x[i].z - state.elapsed * u.z, 0.0};
+      const double speed = std::sqrt(u.x * u.x + u.y * u.y + u.z * u.z);
+      const double mine = n < piecewise_ ? common : longest(speed);
+      state.until[i] = std::min(state.elapsed + mine, state.renewal);
+    } else {
+      now = {start.x + state.elapsed * u.x, start.y + state.elapsed * u.y, start.z + state.elapsed * u.z, 0.0};
+    }
+    state.horizon = std::min(state.horizon, state.until[i]);
+    const auto rest = static_cast<float>(state.until[i] - state.elapsed);
+    position[i] = {static_cast<float>(now.x - low[0]), static_cast<float>(now.y - low[1]),
+                   static_cast<float>(now.z - low[2]), 0.0f};
+    drift[i] = {static_cast<float>(u.x), static_cast<float>(u.y), static_cast<float>(u.z), rest};
+    later[i] = {position[i].x + rest * drift[i].x, position[i].y + rest * drift[i].y, position[i].z + rest * drift[i].z,
+                0.0f};
   }
-  const auto each_lane = [](unsigned mask, auto&& body) {
-    for (; mask != 0; mask &= mask - 1) body(__builtin_ctz(mask));
-  };
-
   Pending &pending_faces = scratch_.pending_faces, &pending_edges = scratch_.pending_edges;
   pending_faces.count = pending_edges.count = 0;
   const float unit_f = static_cast<float>(unit);
-  // Measures the pending pairs and keeps those that can touch. A pair that remembers its side is due at once: measured
-  // here without its memory, the distance has no sign.
-  const auto keep = [&](std::vector<Candidate>& out, auto edges, int least) {
+  // Measures the pending pairs and keeps those that can touch. What is not searched for may be off its path now, by a
+  // part of its slack, and by all of it later. A pair that remembers its side is due at once: measured here without its
+  // memory, the distance has no sign.
+  const auto keep = [&](Pairs& out, auto edges, int least) {
     constexpr bool kEdges = decltype(edges)::value;
     constexpr int kSplit = kEdges ? 2 : 1;
     Pending& pending = kEdges ? pending_edges : pending_faces;
     if (pending.count < least) return;
-    const F8 touching = splat(kEdges ? edge_thickness_ : thickness_), both_slack = splat(2.0f * slack_);
+    const F8 touching = splat(kEdges ? edge_thickness_ : thickness_),
+             both_slack = splat((all ? 2.0f : 2.0f + 2.0f * kNear) * slack_);
     for (int first = 0; first < pending.count; first += 8) {
       PairBlock& block = pending.blocks[first / 8];
       const int lanes = std::min(8, pending.count - first);
@@ -550,14 +663,18 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
       F8 out_of_reach = less(_mm256_setzero_ps(), apart);
       if (_mm256_movemask_ps(out_of_reach) != 0) {
         Vec8 u[4];
-        for (int k = 0; k < 4; ++k) u[k] = load8(drift.data(), block.v[k]);
+        F8 rest = splat(kLongest);  // until the first of the four is searched for again
+        for (int k = 0; k < 4; ++k) {
+          u[k] = load8(drift.data(), block.v[k]);
+          rest = min8(rest, load_w8(drift.data(), block.v[k]));
+        }
         F8 square = _mm256_setzero_ps();  // largest relative speed squared
         for (int p = 0; p < kSplit; ++p)
           for (int q = kSplit; q < 4; ++q) {
             const Vec8 parting = u[p] - u[q];
             square = max8(square, parting.x * parting.x + parting.y * parting.y + parting.z * parting.z);
           }
-        out_of_reach = both(out_of_reach, less(square * splat(horizon) * splat(horizon), apart * apart));
+        out_of_reach = both(out_of_reach, less(square * rest * rest, apart * apart));
       }
       alignas(32) float distance[8];
       _mm256_store_ps(distance, m.distance);
@@ -565,13 +682,12 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
         Candidate c{};
         for (int k = 0; k < 4; ++k) c.v[k] = block.v[k][lane];
         c.face = block.face[lane];
-        c.distance = pair_distance(c.v, kEdges);
         c.present = -1.0f;
-        c.mass = std::numeric_limits<float>::infinity();
-        recall(c, kEdges);
-        const bool met = c.normal[0] != 0.0f || c.normal[1] != 0.0f || c.normal[2] != 0.0f;
-        c.due = met ? 0.0f : distance[lane] - c.distance;
-        out.push_back(c);
+        Contact contact{{}, std::numeric_limits<float>::infinity(), {}};
+        if (!recall(c, contact, kEdges)) c.distance = pair_distance(c.v, kEdges);
+        const float paths = (state.path[c.v[0]] + state.path[c.v[1]]) + (state.path[c.v[2]] + state.path[c.v[3]]);
+        c.due = contact.met() ? 0.0f : paths + (distance[lane] - c.distance);
+        out.add(c, contact);
       });
     }
     pending.count = 0;
@@ -599,6 +715,7 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     write(block.low[0], low8.x - grown, inverted), write(block.high[0], high8.x + grown, deflated);
     write(block.low[1], low8.y - grown, inverted), write(block.high[1], high8.y + grown, deflated);
     write(block.low[2], low8.z - grown, inverted), write(block.high[2], high8.z + grown, deflated);
+    mark_lanes(block, decltype(corners)::value);
   };
   std::fill(scratch_.boxed.begin(), scratch_.boxed.end(), std::uint8_t{0});
   const auto box_patch = [&](std::int32_t index) {  // vertices and edges, when they are first asked for
@@ -648,9 +765,12 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
       const F8 twice_area = max8(_mm256_sqrt_ps(dot(m, m)), splat(1e-20f));
       m = (splat(1.0f) / twice_area) * m;
       const Vec8 ac = c - a, uw = w - u;
-      const F8 longest = _mm256_sqrt_ps(max8(dot(a, a), max8(dot(c, c), dot(ac, ac))));
+      const F8 longest_edge = _mm256_sqrt_ps(max8(dot(a, a), max8(dot(c, c), dot(ac, ac))));
       const F8 parted = _mm256_sqrt_ps(max8(dot(u, u), max8(dot(w, w), dot(uw, uw))));
-      const F8 turning = fma(parted, splat(horizon), splat(2.0f * slack_)) * longest / twice_area;
+      F8 rest = _mm256_setzero_ps();
+      for (const auto& corner : block.corner) rest = max8(rest, load_w8(drift.data(), corner));
+      const F8 turning = fma(parted, rest, splat(2.0f * slack_)) * longest_edge / twice_area;
+      node.strayed = block.strayed != 0;
       const auto total = [](F8 lanes) {
         alignas(32) float t[8];
         _mm256_store_ps(t, lanes);
@@ -667,6 +787,7 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
                    *std::max_element(turnings, turnings + 8);
     } else {
       const Node &l = nodes[node.left], &r = nodes[node.right];
+      node.strayed = l.strayed || r.strayed;
       const Float4 &sl = scratch_.sums[node.left], &sr = scratch_.sums[node.right];
       for (int k = 0; k < 3; ++k)
         node.low[k] = std::min(l.low[k], r.low[k]), node.high[k] = std::max(l.high[k], r.high[k]);
@@ -685,8 +806,21 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     }
   }
 
-  state.vertex_triangle.clear();
-  state.edge_edge.clear();
+  // Nothing was searched in a node that was flat. Where it is so no more, all of it is.
+  const auto flat = [&](const Node& node) { return node.convex && node.angle < kFlat; };
+  for (bool more = !all; more;) {
+    more = false;
+    for (std::size_t index = 0; index < nodes.size(); ++index)
+      if (nodes[index].strayed && state.flat[index] && !flat(nodes[index])) {
+        state.flat[index] = 0;
+        mark(static_cast<std::int32_t>(index));
+        more = true;
+      }
+    if (more) spread_marks();
+  }
+  for (std::size_t index = 0; index < nodes.size(); ++index)
+    if (nodes[index].strayed) state.flat[index] = flat(nodes[index]);
+  forget_strayed(state);
   const auto equal = [](std::int32_t i, const std::int32_t(&lanes)[8]) {
     const I8 same = _mm256_cmpeq_epi32(_mm256_set1_epi32(i), _mm256_load_si256(reinterpret_cast<const I8*>(lanes)));
     return static_cast<unsigned>(_mm256_movemask_ps(_mm256_castsi256_ps(same)));
@@ -695,14 +829,19 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     const I8 more = _mm256_cmpgt_epi32(_mm256_load_si256(reinterpret_cast<const I8*>(lanes)), _mm256_set1_epi32(i));
     return static_cast<unsigned>(_mm256_movemask_ps(_mm256_castsi256_ps(more)));
   };
-  const auto vertices_against_faces = [&](const Patch& first, const Patch& second, const Box& second_box) {
-    for (std::int32_t b = first.vertices[0]; b < first.vertices[1]; ++b)
-      each_lane(meet(second_box, scratch_.vertices[b]), [&](int lane) {
+  const auto vertices_against_faces = [&](const Patch& first, const Patch& second, const Box& second_box,
+                                          bool second_strayed) {
+    for (std::int32_t b = first.vertices[0]; b < first.vertices[1]; ++b) {
+      const unsigned searched_lanes = second_strayed ? 0xffu : scratch_.vertices[b].strayed;
+      if (searched_lanes == 0) continue;
+      each_lane(meet(second_box, scratch_.vertices[b]) & searched_lanes, [&](int lane) {
         const Box box = lane_box(scratch_.vertices[b], lane);
         const std::int32_t i = scratch_.vertices[b].id[lane];
+        const bool searched = (scratch_.vertices[b].strayed >> lane & 1u) != 0;
         for (std::int32_t c = second.faces[0]; c < second.faces[1]; ++c) {
           const BoxBlock& block = scratch_.faces[c];
           unsigned mask = meet(box, block);
+          if (!searched) mask &= block.strayed;
           if (mask == 0) continue;
           for (int k = 0; k < 3; ++k) mask &= ~equal(i, block.corner[k]);
           each_lane(mask, [&](int other) {
@@ -711,16 +850,27 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
           });
         }
       });
+    }
   };
-  const auto edges_against_edges = [&](const Patch& first, const Patch& second, const Box& second_box, bool same) {
-    for (std::int32_t b = first.edges[0]; b < first.edges[1]; ++b)
-      each_lane(meet(second_box, scratch_.edges[b]), [&](int lane) {
+  const auto edges_against_edges = [&](const Patch& first, const Patch& second, const Box& first_box,
+                                       const Box& second_box, bool second_strayed, bool same) {
+    unsigned reached[4];  // of the second's edges
+    for (std::int32_t c = second.edges[0]; c < second.edges[1]; ++c)
+      reached[c - second.edges[0]] = meet(first_box, scratch_.edges[c]);
+    for (std::int32_t b = first.edges[0]; b < first.edges[1]; ++b) {
+      const unsigned searched_lanes = second_strayed ? 0xffu : scratch_.edges[b].strayed;
+      if (searched_lanes == 0) continue;
+      each_lane(meet(second_box, scratch_.edges[b]) & searched_lanes, [&](int lane) {
         const Box box = lane_box(scratch_.edges[b], lane);
         const std::int32_t e = scratch_.edges[b].id[lane];
+        const bool searched = (scratch_.edges[b].strayed >> lane & 1u) != 0;
         const std::int32_t e0 = scratch_.edges[b].corner[0][lane], e1 = scratch_.edges[b].corner[1][lane];
         for (std::int32_t c = second.edges[0]; c < second.edges[1]; ++c) {
           const BoxBlock& block = scratch_.edges[c];
-          unsigned mask = meet(box, block);
+          unsigned mask = reached[c - second.edges[0]];
+          if (mask == 0) continue;
+          mask &= meet(box, block);
+          if (!searched) mask &= block.strayed;
           if (mask == 0) continue;
           if (same) mask &= above(e, block.id);
           for (int k = 0; k < 2; ++k) mask &= ~(equal(e0, block.corner[k]) | equal(e1, block.corner[k]));
@@ -733,6 +883,7 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
           });
         }
       });
+    }
   };
   const auto node_box = [](const Node& node) {
     Box box;
@@ -744,17 +895,23 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
     box_patch(first.patch);
     box_patch(second.patch);
     const Box p_box = node_box(first), q_box = node_box(second);
-    vertices_against_faces(p, q, q_box);
-    if (!same) vertices_against_faces(q, p, p_box);
+    vertices_against_faces(p, q, q_box, second.strayed);
+    if (!same) vertices_against_faces(q, p, p_box, first.strayed);
     keep(state.vertex_triangle, std::false_type{}, 64);
-    edges_against_edges(p, q, q_box, same);
+    edges_against_edges(p, q, p_box, q_box, second.strayed, same);
     keep(state.edge_edge, std::true_type{}, 64);
   };
+  std::vector<std::array<std::int32_t, 2>>& met = scratch_.met;  // leaves
+  met.clear();
   const auto pair = [&](auto&& self, std::int32_t i, std::int32_t j) -> void {
     const Node &a = nodes[i], &b = nodes[j];
+    if (!a.strayed && !b.strayed) return;
     for (int k = 0; k < 3; ++k)
       if (a.low[k] > b.high[k] || b.low[k] > a.high[k]) return;
-    if (a.patch >= 0 && b.patch >= 0) return leaves(a, b, false);
+    if (a.patch >= 0 && b.patch >= 0) {
+      met.push_back({i, j});
+      return;
+    }
     const auto extent = [](const Node& node) {
       return node.patch >= 0 ? -1.0f
                              : std::max(node.high[0] - node.low[0],
@@ -770,38 +927,61 @@ void SelfContact::find_candidates(State& state, const Double4* x, const Double4*
   };
   const auto alone = [&](auto&& self, std::int32_t i) -> void {
     const Node& a = nodes[i];
-    if (a.convex && a.angle < kFlat) return;
-    if (a.patch >= 0) return leaves(a, a, true);
+    if (!a.strayed || state.flat[i]) return;
+    if (a.patch >= 0) {
+      met.push_back({i, i});
+      return;
+    }
     self(self, a.left);
     self(self, a.right);
     pair(pair, a.left, a.right);
   };
   alone(alone, 0);
+  // Their boxes are strewn over more memory than the near caches hold.
+  const auto fetch = [&](std::int32_t node) {
+    const Patch& patch = patches_[nodes[node].patch];
+    const auto blocks = [](const std::vector<BoxBlock>& list, const std::int32_t(&range)[2]) {
+      const auto* end = reinterpret_cast<const char*>(list.data() + range[1]);
+      for (auto* line = reinterpret_cast<const char*>(list.data() + range[0]); line < end; line += 64)
+        __builtin_prefetch(line);
+    };
+    blocks(scratch_.faces, patch.faces);
+    blocks(scratch_.vertices, patch.vertices);
+    blocks(scratch_.edges, patch.edges);
+  };
+  constexpr std::size_t kAhead = 2;
+  for (std::size_t k = 0; k < met.size(); ++k) {
+    if (k + kAhead < met.size()) {
+      fetch(met[k + kAhead][0]);
+      fetch(met[k + kAhead][1]);
+    }
+    leaves(nodes[met[k][0]], nodes[met[k][1]], met[k][0] == met[k][1]);
+  }
   keep(state.vertex_triangle, std::false_type{}, 0);
   keep(state.edge_edge, std::true_type{}, 0);
   state.valid = true;
 }
 
 void SelfContact::select(State& state, const float* bound) const {
-  const auto choose = [&](std::vector<Candidate>& list, std::vector<std::int32_t>& soon) {
+  const auto choose = [&](Pairs& list, std::vector<std::int32_t>& soon) {
     soon.clear();
     for (std::size_t k = 0; k < list.size(); ++k) {
-      Candidate& c = list[k];
+      Candidate& c = list.candidate[k];
       const float bounds = (bound[c.v[0]] + bound[c.v[1]]) + (bound[c.v[2]] + bound[c.v[3]]);
       if (bounds >= c.due)
         soon.push_back(static_cast<std::int32_t>(k));
       else if (c.present >= 0.0f)
-        let_go(c);
+        let_go(c, list.contact[k]);
     }
   };
   choose(state.vertex_triangle, scratch_.soon_faces);
   choose(state.edge_edge, scratch_.soon_edges);
 }
 
-void SelfContact::let_go(Candidate& c) {
-  for (float& s : c.slip) s = 0.0f;
+void SelfContact::let_go(Candidate& c, Contact& contact) {
+  for (float& s : contact.slip) s = 0.0f;
   c.present = -1.0f;
-  c.mass = std::numeric_limits<float>::infinity();
+  contact.mass = std::numeric_limits<float>::infinity();
 }
 
 void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const float* moved,
@@ -812,30 +992,43 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
   fast.clear();
   const float unit_f = static_cast<float>(unit);
   const float* path = state.path.data();
-  const auto choose = [&](std::vector<Candidate>& list, const std::vector<std::int32_t>& soon, auto edges) {
+  const auto choose = [&](Pairs& list, const std::vector<std::int32_t>& soon, auto edges) {
     constexpr bool kEdges = decltype(edges)::value;
-    const Candidate* group[8];
+    Candidate* group[8];
+    Contact* contacts[8];
     for (std::size_t first = 0; first < soon.size(); first += 8) {
       const int lanes = static_cast<int>(std::min<std::size_t>(8, soon.size() - first));
-      for (int lane = 0; lane < 8; ++lane) group[lane] = &list[soon[first + (lane < lanes ? lane : 0)]];
-      const Stored m(measure<kEdges>(group, fixed, unit_f));
+      for (int lane = 0; lane < 8; ++lane) {
+        const auto k = static_cast<std::size_t>(soon[first + (lane < lanes ? lane : 0)]);
+        group[lane] = &list.candidate[k], contacts[lane] = &list.contact[k];
+      }
+      const Stored m(measure<kEdges>(group, contacts, fixed, unit_f));
+      // Most pairs are not near, and the branches of what follows cannot be foreseen: so by masks.
+      float closing[8];
+      unsigned near = 0, held = 0;
       for (int lane = 0; lane < lanes; ++lane) {
-        Candidate& c = list[soon[first + lane]];
+        Candidate& c = *group[lane];
         const float gap = m.distance[lane];
         c.due = (path[c.v[0]] + path[c.v[1]]) + (path[c.v[2]] + path[c.v[3]]) + (gap - c.distance);
-        for (int k = 0; k < 3; ++k) c.normal[k] = m.normal[k][lane];
+        for (int k = 0; k < 3; ++k) contacts[lane]->normal[k] = m.normal[k][lane];
         // What the next step can close: twice the last one's motion, and a little for rest.
-        const float closing =
-            2.0f * ((moved[c.v[0]] + moved[c.v[1]]) + (moved[c.v[2]] + moved[c.v[3]])) + 0.02f * c.distance;
-        bool near = gap < c.distance + closing;
-        if (near && m.inside[lane] == 0.0f) {
+        closing[lane] = 2.0f * ((moved[c.v[0]] + moved[c.v[1]]) + (moved[c.v[2]] + moved[c.v[3]])) + 0.02f * c.distance;
+        near |= static_cast<unsigned>(gap < c.distance + closing[lane]) << lane;
+        held |= static_cast<unsigned>(c.present >= 0.0f) << lane;
+      }
+      const unsigned outside = near & ~m.inside;
+      if constexpr (kEdges) {
+        near &= ~outside;
+      } else {
+        each_lane(outside, [&](int lane) {
           const float weight[4] = {m.weight[0][lane], m.weight[1][lane], m.weight[2][lane], m.weight[3][lane]};
-          near = !kEdges && !elsewhere(c, weight, fixed);
-        }
-        if (!near) {
-          if (c.present >= 0.0f) let_go(c);
-          continue;
-        }
+          if (elsewhere(*group[lane], weight, fixed)) near &= ~(1u << lane);
+        });
+      }
+      each_lane(held & ~near, [&](int lane) { let_go(*group[lane], *contacts[lane]); });
+      each_lane(near, [&](int lane) {
+        Candidate& c = *group[lane];
+        const float gap = m.distance[lane];
         // A pair that starts out closer than its distance (a state that was set so; a vertex that crossed over from the
         // next triangle) must not push at once: that would be energy from nothing, and kept creases buzzing. It starts
         // without force.
@@ -846,14 +1039,14 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
         a.gap = gap;
         a.least = 0.5f * c.distance;
         a.depth = c.present - gap;
-        if (gap - a.least < closing)
+        if (gap - a.least < closing[lane])
           fast.push_back(static_cast<std::int32_t>(active.size()));
         else if (a.depth <= 0.0f)
-          continue;
-        a.candidate = &c;
+          return;
+        a.contact = contacts[lane];
         for (int k = 0; k < 4; ++k) a.v[k] = c.v[k], a.weight[k] = m.weight[k][lane];
         active.push_back(a);
-      }
+      });
     }
   };
   choose(state.vertex_triangle, scratch_.soon_faces, std::false_type{});
@@ -874,9 +1067,9 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
     for (int k = 0; k < 4; ++k)
       worst = std::max(worst, 2.0f * std::max(load[a.v[k]], kLeastLoad) * inverse_mass[a.v[k]]);
     const float mass = worst > 0.0f ? 1.0f / worst : 0.0f;
-    Candidate& c = *a.candidate;
+    Contact& c = *a.contact;
     c.mass = a.depth > 0.0f ? std::min(c.mass, mass) : mass;
-    a.stiffness = kSpring * c.mass * per_dt * per_dt;
+    a.stiffness = spring_ * c.mass * per_dt * per_dt;
     a.damping = kDashpot * c.mass * per_dt;
   }
 }
@@ -884,7 +1077,7 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
 void SelfContact::add_forces(State& state, const Float4* v, float dt, Float4* forces) const {
   std::int64_t touching = 0;
   for (const Active& a : scratch_.active) {
-    Candidate& c = *a.candidate;
+    Contact& c = *a.contact;
     if (a.depth <= 0.0f) {
       for (float& s : c.slip) s = 0.0f;
       continue;
@@ -940,7 +1133,7 @@ void SelfContact::stop_pairs(const Double4* x, double dt, double floor, const fl
     bool changed = false;
     for (const std::int32_t index : scratch_.fast) {
       const Active& a = scratch_.active[index];
-      const double nx = a.candidate->normal[0], ny = a.candidate->normal[1], nz = a.candidate->normal[2];
+      const double nx = a.contact->normal[0], ny = a.contact->normal[1], nz = a.contact->normal[2];
       double approach = 0.0, inverse = 0.0;
       for (int k = 0; k < 4; ++k) {
         const std::int32_t i = a.v[k];

@@ -44,15 +44,29 @@ inline __m256d meet_ground(double z, double dt, double floor, double mu, __m256d
 /// pair passes through. The side of a pair is remembered as long as it is a candidate.
 class SelfContact {
  public:
+  /// What is looked at for every pair in every block. Half a cache line.
   struct Candidate {
     std::int32_t v[4];  ///< vertex, triangle | edge, edge
     std::int32_t face;  ///< of the triangle, or -1
     float due;          ///< measure when the sum of the four path bounds reaches this, m
     float distance;     ///< m, contact distance of this pair
     float present;      ///< m, <= distance: what is left of it after an overload; negative: not active
-    float mass;         ///< kg, least effective mass since it is in contact; sets the spring
-    float normal[3];    ///< last direction from the second to the first; zero: unknown
-    float slip[3];      ///< m, stretch of the tangential spring
+  };
+  /// What a pair remembers of its contact.
+  struct Contact {
+    float normal[3];  ///< last direction from the second to the first; zero: unknown
+    float mass;       ///< kg, least effective mass since it is in contact; sets the spring
+    float slip[3];    ///< m, stretch of the tangential spring
+    float unused = 0.0f;
+    bool met() const { return normal[0] != 0.0f || normal[1] != 0.0f || normal[2] != 0.0f; }
+  };
+  struct Pairs {
+    std::vector<Candidate> candidate;
+    std::vector<Contact> contact;  ///< of the candidates
+    std::size_t size() const { return candidate.size(); }
+    void clear() { candidate.clear(), contact.clear(); }
+    void reserve(std::size_t n) { candidate.reserve(n), contact.reserve(n); }
+    void add(const Candidate& c, const Contact& m) { candidate.push_back(c), contact.push_back(m); }
   };
   /// A pair in one substep.
   struct Active {
@@ -63,22 +77,30 @@ class SelfContact {
     float least;      ///< m, half of Candidate::distance
     float stiffness;  ///< N/m
     float damping;    ///< N s/m
-    Candidate* candidate;
+    Contact* contact;
   };
   /// All that changes; copied by snapshots.
   struct State {
     bool valid = false;
-    std::vector<Candidate> vertex_triangle, edge_edge;
-    std::vector<float> path;  ///< [padded(V)] m moved since the candidates were found
-    // The candidates are good while every vertex is within `slack` of start + drift * elapsed, and elapsed <= horizon.
-    std::vector<Double4> start, drift;    ///< [V] m, m/s: state when they were found
-    double elapsed = 0.0, horizon = 0.0;  ///< s
-    std::int64_t touching = 0;            ///< active pairs with force in the last substep
+    Pairs vertex_triangle, edge_edge;
+    std::vector<float> path;  ///< [padded(V)] m moved since all candidates were found
+    // The candidates are good while every vertex is within `slack` of start + drift * elapsed, and elapsed <= its
+    // until.
+    std::vector<Double4> start, drift;  ///< [V] m, m/s
+    std::vector<double> until;          ///< [V] s
+    double elapsed = 0.0;               ///< s, since all candidates were found
+    double horizon = 0.0;               ///< s, the least `until`
+    double renewal = 0.0;               ///< s: no longer than this without a search for all
+    std::vector<std::uint8_t> flat;     ///< [nodes] no two parts of the node can touch, nothing was searched in it
+    std::int64_t touching = 0;          ///< active pairs with force in the last substep
   };
 
-  SelfContact(const Topology& topology, const Fabric& fabric);
+  /// @param spring part of the explicit limit dt^2 lambda = 4 that the springs of contact take.
+  /// @param piecewise from this number of vertices on, candidates are found anew only for vertices that have left
+  /// their path. On fewer a search for all is as fast.
+  SelfContact(const Topology& topology, const Fabric& fabric, float spring, std::int32_t piecewise = 2000);
 
-  /// Makes sure that the candidates are good for the next block, else finds them anew. Then state.path is zero.
+  /// Makes sure that the candidates are good for the next block, else finds them anew.
   void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,
                double block_seconds) const;
   double slack() const { return slack_; }  ///< m, see State
@@ -106,6 +128,7 @@ class SelfContact {
     float low[3][8], high[3][8];
     std::int32_t corner[3][8];  ///< vertices of the primitive; those that it has not, and empty lanes, repeat others
     std::int32_t id[8];         ///< vertex, edge or face; -1: empty lane
+    unsigned strayed;           ///< lanes with a vertex that candidates are searched for
   };
   /// A patch of at most eight neighbouring faces, with the vertices and edges that it owns (each belongs to one patch).
   struct Patch {
@@ -121,6 +144,7 @@ class SelfContact {
     /// The rest shape is one piece, nearly convex: while its normals stay within a cone below 90 degrees it projects
     /// one to one along the axis, and no two of its parts can touch [Volino and Magnenat-Thalmann 1994].
     bool convex;
+    bool strayed;  ///< has a vertex that candidates are searched for
   };
   /// Eight pairs that a search has found and not yet measured.
   struct alignas(32) PairBlock {
@@ -145,11 +169,14 @@ class SelfContact {
     std::vector<Node> nodes;
     std::vector<Float4> sums;         ///< [nodes] sums of unit normals
     std::vector<std::uint8_t> boxed;  ///< [patches] vertex and edge boxes are those of this search
-    std::vector<Candidate> old;
+    Pairs old;                        ///< first vertices and triangles, then edges
+    std::size_t old_vertex_triangle = 0;
+    std::vector<std::uint8_t> strayed;  ///< [V] candidates are searched for it
     Pending pending_faces, pending_edges;
-    std::vector<std::int32_t> table;
-    std::vector<Float4> position, later;  ///< relative to the lowest corner: now and at the horizon
-    std::vector<Float4> drift;            ///< m/s
+    std::vector<std::uint64_t> table;
+    std::vector<std::array<std::int32_t, 2>> met;  ///< leaves whose boxes meet
+    // The paths, relative to the lowest corner, m: now; at the end; m/s, with s until then as w.
+    std::vector<Float4> position, later, drift;
     std::vector<float> load;
     std::vector<std::int32_t> soon_faces, soon_edges;  ///< candidates selected for the block
     std::vector<Active> active;
@@ -160,8 +187,15 @@ class SelfContact {
                   bool grounded) const;
   void make_patches();
   bool nearly_convex(const std::vector<std::int32_t>& faces) const;
-  void find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit) const;
-  static void let_go(Candidate& pair);
+  void find_candidates(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,
+                       double block_seconds) const;
+  bool choose_strayed(State& state, const Double4* x, double block_seconds) const;
+  void forget_strayed(State& state) const;
+  bool recall(Candidate& pair, Contact& contact, bool edges) const;
+  void mark(std::int32_t node) const;
+  void spread_marks() const;
+  void mark_lanes(BoxBlock& block, int corners) const;
+  static void let_go(Candidate& pair, Contact& contact);
   bool elsewhere(const Candidate& pair, const float (&weight)[4], const Fixed4* fixed) const;
   float pair_distance(const std::int32_t (&v)[4], bool edges) const;
 
@@ -169,7 +203,9 @@ class SelfContact {
   float thickness_ = 0.0f;
   float edge_thickness_ = 0.0f;
   float friction_ = 0.0f;
+  float spring_ = 0.0f;
   float slack_ = 0.0f;
+  std::int32_t piecewise_ = 0;
   std::vector<Patch> patches_;
   mutable Scratch scratch_;
 };

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <tuple>
 #include <utility>
 
 #include "stability.hpp"
@@ -13,6 +15,8 @@ namespace {
 // Of w0 = 1 + kDamping / s^2: lambda p(lambda) of short waves lies between 0.3 and 1.7 of its mean.
 constexpr double kDamping = 0.4;
 constexpr int kMostStages = 64;
+// Floats before the first and after the last record of a plane: a diagonal of eight lanes begins at most seven early.
+constexpr std::int32_t kRoom = 8;
 
 /// For eigenvalues up to `most`.
 struct Polynomial {
@@ -73,25 +77,22 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
     return std::pair(a.row, a.column) < std::pair(b.row, b.column);
   });
   std::vector<double> value;
-  start_.assign(static_cast<std::size_t>(topology.vertices) + 1, 0);
+  std::vector<std::int32_t> start(static_cast<std::size_t>(topology.vertices) + 1, 0), column;
   for (std::size_t k = 0; k < entries.size(); ++k) {
     if (k > 0 && entries[k].row == entries[k - 1].row && entries[k].column == entries[k - 1].column) {
       value.back() += entries[k].value;
       continue;
     }
-    column_.push_back(entries[k].column);
+    column.push_back(entries[k].column);
     value.push_back(entries[k].value);
-    start_[static_cast<std::size_t>(entries[k].row) + 1] = static_cast<std::int32_t>(column_.size());
+    start[static_cast<std::size_t>(entries[k].row) + 1] = static_cast<std::int32_t>(column.size());
   }
-  for (std::size_t i = 1; i < start_.size(); ++i) start_[i] = std::max(start_[i], start_[i - 1]);
-  value_.assign(value.begin(), value.end());
-  now_.resize(masses.size());
-  last_.resize(masses.size());
+  for (std::size_t i = 1; i < start.size(); ++i) start[i] = std::max(start[i], start[i - 1]);
 
   const double most = largest_eigenvalue(masses, [&](const std::vector<double>& x, std::vector<double>& out) {
     for (std::size_t i = 0; i < x.size(); ++i) {
       out[i] = 0.0;
-      for (std::int32_t k = start_[i]; k < start_[i + 1]; ++k) out[i] += value[k] * x[column_[k]];
+      for (std::int32_t k = start[i]; k < start[i + 1]; ++k) out[i] += value[k] * x[column[k]];
     }
   });
   const double allowed = std::max(warp, weft) / density / (length * length);
@@ -102,36 +103,115 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
   // The stages come in whole numbers: what they could do beyond `allowed` is not used.
   if (p.largest() < allowed) p = polynomial(stages_, most * allowed / p.largest());
   largest_ = p.largest();
+  arrange(topology, start, column, value);
   for (const auto& [now, last, slope] : p.stage)
     stage_.push_back({static_cast<float>(now), static_cast<float>(last), static_cast<float>(slope / p.tau),
                       static_cast<float>(slope)});
 }
 
+void MassScaling::Planes::resize(std::size_t rows) {
+  for (auto& plane : of) plane.assign(rows + 2 * kRoom, 0.0f);
+}
+
+void MassScaling::arrange(const Topology& topology, const std::vector<std::int32_t>& start,
+                          const std::vector<std::int32_t>& column, const std::vector<double>& value) {
+  // Neighbours of vertices that follow one another in a strip follow one another in its strip or the next: the fewer
+  // diagonals, the better the strips. A triangular lattice has 7 where its rows are the strips.
+  const std::int32_t n = topology.vertices, padding = (8 - n % 8) % 8;
+  std::vector<std::int32_t> order(static_cast<std::size_t>(n)), row(order.size()), strip(order.size()), offsets;
+  const auto group_offsets = [&](std::int32_t first) -> std::vector<std::int32_t>& {
+    offsets.clear();
+    for (std::int32_t r = first; r < std::min(first + 8, n); ++r)
+      for (std::int32_t k = start[order[r]]; k < start[order[r] + 1]; ++k)
+        offsets.push_back(row[column[k]] - (r - first));
+    std::sort(offsets.begin(), offsets.end());
+    offsets.erase(std::unique(offsets.begin(), offsets.end()), offsets.end());
+    return offsets;
+  };
+  std::size_t fewest = std::numeric_limits<std::size_t>::max();
+  for (const int across : {1, 0})
+    for (const double height : {0.5, 0.75, 0.8, 0.866, 0.93, 1.0, 1.15, 1.5})
+      for (const double shift : {0.0, 0.25, 0.5, 0.75}) {
+        const auto place = [&](std::int32_t i, int axis) { return topology.rest[i][static_cast<std::size_t>(axis)]; };
+        for (std::int32_t i = 0; i < n; ++i) {
+          order[i] = i;
+          strip[i] = static_cast<std::int32_t>(std::floor(place(i, across) / (height * topology.mean_edge) + shift));
+        }
+        std::sort(order.begin(), order.end(), [&](std::int32_t i, std::int32_t j) {
+          return std::tuple(strip[i], place(i, 1 - across), i) < std::tuple(strip[j], place(j, 1 - across), j);
+        });
+        for (std::int32_t r = 0; r < n; ++r) row[order[r]] = r;
+        std::size_t diagonals = 0;
+        for (std::int32_t first = 0; first < n; first += 8) diagonals += group_offsets(first).size();
+        if (diagonals >= fewest) continue;
+        fewest = diagonals;
+        vertex_ = order;
+      }
+
+  order = vertex_;
+  for (std::int32_t r = 0; r < n; ++r) row[order[r]] = r;
+  vertex_.insert(vertex_.end(), static_cast<std::size_t>(padding), order.back());
+  start_.push_back(0);
+  for (std::int32_t first = 0; first < n; first += 8) {
+    const std::size_t begin = at_.size();
+    for (const std::int32_t offset : group_offsets(first)) {
+      at_.push_back(offset + kRoom);
+      diagonal_.push_back({});
+    }
+    for (std::int32_t r = first; r < std::min(first + 8, n); ++r)
+      for (std::int32_t k = start[order[r]]; k < start[order[r] + 1]; ++k) {
+        const auto here = std::lower_bound(at_.begin() + static_cast<std::ptrdiff_t>(begin), at_.end(),
+                                           row[column[k]] - (r - first) + kRoom);
+        diagonal_[static_cast<std::size_t>(here - at_.begin())].value[r - first] = static_cast<float>(value[k]);
+      }
+    start_.push_back(static_cast<std::int32_t>(at_.size()));
+  }
+  for (Planes* planes : {&a_, &w_, &now_, &last_}) planes->resize(vertex_.size());
+  out_.resize(static_cast<std::size_t>(n));
+}
+
 const Float4* MassScaling::apply(const Float4* a, const Float4* w) const {
-  const auto n = static_cast<std::int32_t>(now_.size());
-  Float4 *now = now_.data(), *last = last_.data();
-  const __m128 first = _mm_set1_ps(stage_[0].gain);
-  for (std::int32_t i = 0; i < n; ++i) {
-    _mm_store_ps(&now[i].x, _mm_mul_ps(first, _mm_load_ps(&a[i].x)));
-    _mm_store_ps(&last[i].x, _mm_setzero_ps());
+  const auto rows = static_cast<std::int32_t>(vertex_.size()), n = static_cast<std::int32_t>(out_.size());
+  const auto planes = [](Planes& p) {
+    return std::array<float*, 3>{p.of[0].data() + kRoom, p.of[1].data() + kRoom, p.of[2].data() + kRoom};
+  };
+  const std::array<float*, 3> forced = planes(a_), free = planes(w_);
+  std::array<float*, 3> now = planes(now_), last = planes(last_);
+  const F8 first_gain = splat(stage_[0].gain), zero = _mm256_setzero_ps();
+  for (std::int32_t r = 0; r < rows; r += 8) {
+    const Vec8 a8 = load8(a, &vertex_[r]), w8 = load8(w, &vertex_[r]);
+    const F8 as[3] = {a8.x, a8.y, a8.z}, ws[3] = {w8.x, w8.y, w8.z};
+    for (int c = 0; c < 3; ++c) {
+      _mm256_storeu_ps(forced[c] + r, as[c]);
+      _mm256_storeu_ps(free[c] + r, ws[c]);
+      _mm256_storeu_ps(now[c] + r, first_gain * as[c]);
+      _mm256_storeu_ps(last[c] + r, zero);
+    }
   }
   for (int j = 1; j < stages_; ++j) {
     const Stage& s = stage_[static_cast<std::size_t>(j)];
-    const __m128 of_now = _mm_set1_ps(s.now), of_last = _mm_set1_ps(s.last);
-    const __m128 gain = _mm_set1_ps(s.gain), slope = _mm_set1_ps(s.slope);
-    for (std::int32_t i = 0; i < n; ++i) {
-      __m128 pull = _mm_setzero_ps();
-      for (std::int32_t k = start_[i]; k < start_[i + 1]; ++k)
-        pull = _mm_fmadd_ps(_mm_set1_ps(value_[k]), _mm_load_ps(&now[column_[k]].x), pull);
-      __m128 next = _mm_mul_ps(gain, _mm_load_ps(&a[i].x));
-      next = _mm_fmadd_ps(of_last, _mm_load_ps(&last[i].x), next);
-      next = _mm_fmadd_ps(of_now, _mm_load_ps(&now[i].x), next);
-      next = _mm_fnmadd_ps(_mm_mul_ps(slope, _mm_load_ps(&w[i].x)), pull, next);
-      _mm_store_ps(&last[i].x, next);
+    const F8 of_now = splat(s.now), of_last = splat(s.last), gain = splat(s.gain), slope = splat(s.slope);
+    for (std::int32_t r = 0; r < rows; r += 8) {
+      F8 pull[3] = {zero, zero, zero};
+      for (std::int32_t k = start_[r / 8]; k < start_[r / 8 + 1]; ++k) {
+        const F8 value = _mm256_load_ps(diagonal_[k].value);
+        const std::ptrdiff_t from = at_[k] - kRoom;
+        for (int c = 0; c < 3; ++c) pull[c] = fma(value, _mm256_loadu_ps(now[c] + from), pull[c]);
+      }
+      for (int c = 0; c < 3; ++c) {
+        F8 next = gain * _mm256_loadu_ps(forced[c] + r);
+        next = fma(of_last, _mm256_loadu_ps(last[c] + r), next);
+        next = fma(of_now, _mm256_loadu_ps(now[c] + r), next);
+        _mm256_storeu_ps(last[c] + r, fnma(slope * _mm256_loadu_ps(free[c] + r), pull[c], next));
+      }
     }
     std::swap(now, last);
   }
-  return now;
+  for (std::int32_t r = 0; r < n; r += 8) {
+    const Vec8 v{_mm256_loadu_ps(now[0] + r), _mm256_loadu_ps(now[1] + r), _mm256_loadu_ps(now[2] + r)};
+    store8(out_.data(), &vertex_[r], v);
+  }
+  return out_.data();
 }
 
 }  // namespace weft::cloth

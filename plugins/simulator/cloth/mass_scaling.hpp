@@ -36,9 +36,26 @@ class MassScaling {
     float now, last, gain, slope;
   };
   std::vector<Stage> stage_;
-  std::vector<std::int32_t> start_, column_;  ///< L by rows
-  std::vector<float> value_;                  ///< N/m
-  mutable std::vector<Float4> now_, last_;
+  /// Eight rows of L, lane by lane: sum over diagonals of value times the eight records from `at` on.
+  struct alignas(32) Diagonal {
+    float value[8];  ///< N/m
+  };
+  /// x, y, z of the rows' vertices, each with room for a diagonal that begins before the first or ends after the last.
+  struct Planes {
+    std::vector<float> of[3];
+    void resize(std::size_t rows);
+  };
+  /// Puts the vertices in strips and the entries of L, by rows of vertices, on diagonals.
+  void arrange(const Topology& topology, const std::vector<std::int32_t>& start,
+               const std::vector<std::int32_t>& column, const std::vector<double>& value);
+
+  std::vector<std::int32_t>
+      vertex_;                       ///< of a row; the last rows repeat one so that their number is a multiple of eight
+  std::vector<std::int32_t> start_;  ///< [groups + 1] into diagonal_
+  std::vector<std::int32_t> at_;     ///< [diagonals] into Planes
+  std::vector<Diagonal> diagonal_;
+  mutable Planes a_, w_, now_, last_;
+  mutable std::vector<Float4> out_;  ///< [V]
 };
 
 }  // namespace weft::cloth

@@ -9,6 +9,7 @@ struct Params {
   double step_safety = 0.8;
   double damping_least_step = 0.9;
   double inertia_length_m = 0.0;
+  double fine_inertia_length_m = 0.017;
   double settle_damping_per_s = 6.0;
   double grasp_strain_warning = 0.15;
   bool self_contact = true;
@@ -27,6 +28,8 @@ struct Params {
     v("inertia_length_m", inertia_length_m, range(0.0, 0.1, "m"),
       "Waves shorter than about four times this length get more inertia, so that no finer mesh takes more substeps "
       "(selective mass scaling). What is at rest does not depend on it. 0: inertia as the cloth has it.");
+    v("fine_inertia_length_m", fine_inertia_length_m, range(0.0, 0.1, "m"),
+      "The same on meshes with edges below 12 mm in the mean, where it is more than inertia_length_m.");
     v("settle_damping_per_s", settle_damping_per_s, range(0.0, 100.0, "1/s"),
       "Air drag added during settle() only, so that a dropped sheet comes to rest in about a second.");
     v("grasp_strain_warning", grasp_strain_warning, range(0.0, 10.0),

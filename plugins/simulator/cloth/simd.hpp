@@ -92,6 +92,11 @@ inline Vec8 as_float(const Fixed8& bits) {
 [[gnu::always_inline]] inline Vec8 load8(const Float4* table, const std::int32_t* index) {
   return as_float(load8([&](int lane) { return table + index[lane]; }));
 }
+/// Their fourth components.
+[[gnu::always_inline]] inline F8 load_w8(const Float4* table, const std::int32_t* index) {
+  const auto w = [&](int lane) { return table[index[lane]].w; };
+  return _mm256_setr_ps(w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7));
+}
 /// Where a vertex has its record in every table of 16-byte records: 16 times its index. Ready-made in the element
 /// blocks, because computing addresses took a quarter of the instructions of the forces.
 using Offset = std::uint32_t;
@@ -113,25 +118,38 @@ inline Vec8 difference(const Fixed8& a, const Fixed8& b) {
   return {_mm256_cvtepi32_ps(_mm256_sub_epi32(a.x, b.x)), _mm256_cvtepi32_ps(_mm256_sub_epi32(a.y, b.y)),
           _mm256_cvtepi32_ps(_mm256_sub_epi32(a.z, b.z))};
 }
+/// Eight vectors as records (x, y, z, 0).
+struct Records8 {
+  F8 r[4];  ///< of lanes k and k + 4
+  explicit Records8(const Vec8& v) {
+    const F8 zero = _mm256_setzero_ps();
+    const F8 t0 = _mm256_unpacklo_ps(v.x, v.y), t1 = _mm256_unpackhi_ps(v.x, v.y);
+    const F8 t2 = _mm256_unpacklo_ps(v.z, zero), t3 = _mm256_unpackhi_ps(v.z, zero);
+    const auto low = [](F8 a, F8 b) {
+      return _mm256_castpd_ps(_mm256_unpacklo_pd(_mm256_castps_pd(a), _mm256_castps_pd(b)));
+    };
+    const auto high = [](F8 a, F8 b) {
+      return _mm256_castpd_ps(_mm256_unpackhi_pd(_mm256_castps_pd(a), _mm256_castps_pd(b)));
+    };
+    r[0] = low(t0, t2), r[1] = high(t0, t2), r[2] = low(t1, t3), r[3] = high(t1, t3);
+  }
+};
+/// The records of eight vertices. Where an index repeats, its first lane counts.
+[[gnu::always_inline]] inline void store8(Float4* table, const std::int32_t* index, const Vec8& v) {
+  const Records8 records(v);
+  for (int k = 4; k-- > 0;) _mm_store_ps(&table[index[k + 4]].x, _mm256_extractf128_ps(records.r[k], 1));
+  for (int k = 4; k-- > 0;) _mm_store_ps(&table[index[k]].x, _mm256_castps256_ps128(records.r[k]));
+}
 /// record = combine(record, v[lane]) for the vertices at offset[lane], lane by lane in this order; offsets may repeat.
 template <class Combine>
 [[gnu::always_inline]] inline void update8(Float4* table, const Offset* offset, const Vec8& v, Combine&& combine) {
-  const F8 zero = _mm256_setzero_ps();
-  const F8 t0 = _mm256_unpacklo_ps(v.x, v.y), t1 = _mm256_unpackhi_ps(v.x, v.y);
-  const F8 t2 = _mm256_unpacklo_ps(v.z, zero), t3 = _mm256_unpackhi_ps(v.z, zero);
-  const auto low = [](F8 a, F8 b) {
-    return _mm256_castpd_ps(_mm256_unpacklo_pd(_mm256_castps_pd(a), _mm256_castps_pd(b)));
-  };
-  const auto high = [](F8 a, F8 b) {
-    return _mm256_castpd_ps(_mm256_unpackhi_pd(_mm256_castps_pd(a), _mm256_castps_pd(b)));
-  };
-  const F8 r[4] = {low(t0, t2), high(t0, t2), low(t1, t3), high(t1, t3)};
+  const Records8 records(v);
   const auto update = [&](int lane, __m128 value) {
     float* to = &at(table, offset[lane])->x;
     _mm_store_ps(to, combine(_mm_load_ps(to), value));
   };
-  for (int k = 0; k < 4; ++k) update(k, _mm256_castps256_ps128(r[k]));
-  for (int k = 0; k < 4; ++k) update(k + 4, _mm256_extractf128_ps(r[k], 1));
+  for (int k = 0; k < 4; ++k) update(k, _mm256_castps256_ps128(records.r[k]));
+  for (int k = 0; k < 4; ++k) update(k + 4, _mm256_extractf128_ps(records.r[k], 1));
 }
 [[gnu::always_inline]] inline void add8(Float4* table, const Offset* offset, const Vec8& v) {
   update8(table, offset, v, [](__m128 a, __m128 b) { return _mm_add_ps(a, b); });
