@@ -28,7 +28,7 @@ constexpr float kEdgePart = 0.8f;
 constexpr float kSlack = 0.05f;
 // Candidates are good for this long at most, s; where a search is for few vertices, all are searched for after so long.
 // (After a second, layers at rest had more than twice the candidates: whatever could touch in all that time.)
-constexpr double kLongest = 1.0, kRenewal = 0.1;
+constexpr double kLongest = 1.0, kRenewal = 0.05;
 // Where a search is for few vertices: those that have used this part of their slack, or whose path ends within this
 // many frames, are searched for before they have to be.
 constexpr float kNear = 0.25f;
