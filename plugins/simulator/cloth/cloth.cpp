@@ -347,24 +347,18 @@ void Cloth::advance(const Double4* targets, double extra_drag) {
 
 struct Cloth::Gain {
   double dt;
-  __m256d step4, gravity, keep;
-  const Float4* scaled = nullptr;  ///< m/s^2, all of the acceleration where inertia is scaled
+  __m256d gravity, keep;
   Gain(double step, double drag, const Vec3& g)
       : dt(step),
-        step4(_mm256_set1_pd(step)),
         gravity(_mm256_setr_pd(step * g.x(), step * g.y(), step * g.z(), 0.0)),
         keep(_mm256_set1_pd(1.0 / (1.0 + step * drag))) {}
 };
 
-/// (v + dt (f / m + g)) / (1 + dt drag), or with p(W L) W (f + m g + ground).
+/// (v + dt (f / m + g)) / (1 + dt drag).
 inline __m256d Cloth::accelerated(std::int32_t i, const Gain& gain) const {
   const __m256d v = load(state_.v[i]);
   const float w = state_.inverse_mass[i];
   if (w == 0.0f) return v;
-  if (gain.scaled) {
-    const __m256d a = _mm256_cvtps_pd(_mm_load_ps(&gain.scaled[i].x));
-    return _mm256_mul_pd(_mm256_fmadd_pd(a, gain.step4, v), gain.keep);
-  }
   const __m256d f = _mm256_cvtps_pd(_mm_load_ps(&forces_[i].x));
   const __m256d change = _mm256_fmadd_pd(f, _mm256_set1_pd(gain.dt * static_cast<double>(w)), gain.gravity);
   return _mm256_mul_pd(_mm256_add_pd(v, change), gain.keep);
@@ -384,10 +378,11 @@ double Cloth::substep(double dt, double drag, const float* bound, const Double4*
 
   const bool stop = params_.self_contact && contact_->has_fast();
   // Where nothing comes between the two, a vertex is accelerated when it moves, which saves a pass over the vertices.
-  const bool together = !stop;
-  Gain gain(dt, drag, scene_.gravity);
-  if (scaling_->stages() > 1) gain.scaled = scaled_accelerations(dt);
-  if (!together)
+  const bool together = scaling_->stages() == 1 && !stop;
+  const Gain gain(dt, drag, scene_.gravity);
+  if (scaling_->stages() > 1)
+    accelerate_scaled(dt, drag);
+  else if (!together)
     for (std::int32_t i = 0; i < n; ++i) store(state_.v[i], accelerated(i, gain));
   if (stop) contact_->stop(state_.x.data(), dt, floor_, fabric_.friction, state_.inverse_mass.data(), state_.v.data());
 
@@ -476,10 +471,10 @@ void Cloth::rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, 
   a.y = part * a.y - braking * v.y;
 }
 
-/// p(W L) W (f + m g + ground) [V], m/s^2. The ground's force is what a vertex needs by itself, as if its mass were
+/// The same with p(W L) W (f + m g + ground). The ground's force is what a vertex needs by itself, as if its mass were
 /// lumped; a component that it stops takes no part in p(W L) W. So reactions, and what sticks, are those of
 /// equilibrium.
-const Float4* Cloth::scaled_accelerations(double dt) {
+void Cloth::accelerate_scaled(double dt, double drag) {
   const auto n = static_cast<std::int32_t>(state_.x.size());
   const __m256d gravity = _mm256_setr_pd(scene_.gravity.x(), scene_.gravity.y(), scene_.gravity.z(), 0.0);
   for (std::int32_t i = 0; i < n; ++i) {
@@ -495,7 +490,13 @@ const Float4* Cloth::scaled_accelerations(double dt) {
     if (state_.x[i].z + dt * state_.v[i].z <= floor_) rest_on_ground(state_.x[i], dt, state_.v[i], a, free_[i]);
     _mm_store_ps(&forces_[i].x, _mm256_cvtpd_ps(load(a)));
   }
-  return scaling_->apply(forces_.data(), free_.data());
+  const Float4* scaled = scaling_->apply(forces_.data(), free_.data());
+  const __m256d step = _mm256_set1_pd(dt), keep = _mm256_set1_pd(1.0 / (1.0 + dt * drag));
+  for (std::int32_t i = 0; i < n; ++i) {
+    if (state_.inverse_mass[i] == 0.0f) continue;
+    const __m256d a = _mm256_cvtps_pd(_mm_load_ps(&scaled[i].x));
+    store(state_.v[i], _mm256_mul_pd(_mm256_fmadd_pd(a, step, load(state_.v[i])), keep));
+  }
 }
 
 void Cloth::update_grasp_strain() {

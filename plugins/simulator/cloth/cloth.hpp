@@ -64,7 +64,7 @@ class Cloth final : public Simulator {
   double substep(double dt, double drag, const float* bound, const Double4* start, const Double4* targets, double part);
   struct Gain;
   __m256d accelerated(std::int32_t i, const Gain& gain) const;
-  const Float4* scaled_accelerations(double dt);
+  void accelerate_scaled(double dt, double drag);
   void rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, Float4& free) const;
   void refresh_derived();
   void publish();
