@@ -7,6 +7,7 @@
 #include "options.hpp"
 #include "weft/experiment.hpp"
 #include "weft/physics.hpp"
+#include "weft/refusal.hpp"
 
 namespace weft::app {
 namespace {
@@ -53,6 +54,19 @@ constexpr FileKind kFileKinds[] = {
     {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
 };
 
+/// PluginRegistry::find(), which does not know that a kind of file may have been meant.
+PluginEntry find(const PluginRegistry& registry, const std::string& name) {
+  try {
+    return registry.find(name);
+  } catch (const PluginError& error) {
+    std::vector<std::string> kinds;
+    for (const auto& kind : kFileKinds) kinds.emplace_back(kind.name);
+    const std::string what = error.what(), hint = nearest_hint(name, kinds);
+    if (hint.empty() || what.find("; nearest: ") != std::string::npos) throw;
+    throw PluginError(what + hint);
+  }
+}
+
 int describe(const Context& context, const std::string& name, bool markdown) {
   const auto* file =
       std::find_if(std::begin(kFileKinds), std::end(kFileKinds), [&](auto& k) { return k.name == name; });
@@ -65,7 +79,7 @@ int describe(const Context& context, const std::string& name, bool markdown) {
     params = file->params();
   } else {
     const auto registry = registry_of_overrides(context);
-    const auto entry = registry->find(name);
+    const auto entry = find(*registry, name);
     about = {{"kind", entry.kind}, {"name", entry.name}, {"version", entry.version}, {"file", entry.file.string()}};
     title = entry.kind + "/" + entry.name + " " + entry.version + "  (" + entry.file.string() + ")";
     params = registry->params(entry);

@@ -76,6 +76,8 @@ TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
       {"conformance ./nope.so", "./nope.so: refused: no such file"},
       {"conformance arc --kind bogus", "'bogus' is no kind of plugin, must be one of simulator, predictor, "},
       {"describe arc/arc", "'arc' is no kind of plugin, must be one of simulator, predictor, "},
+      {"describe tasks", "no plugin is called 'tasks'"},
+      {"describe tasks", "; nearest: task\n"},
       {"describe arc --set r_min_m=3", "--set: r_min_m is not a known key"},
       {"describe arc --seed 3", "--seed"},
       {"dataset info . --set a=1", "--set"},
