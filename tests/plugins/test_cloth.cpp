@@ -417,9 +417,11 @@ TEST(Cloth, ScaledInertiaTakesFewerSubstepsAndHangsTheSame) {
 // ---------------------------------------------------------------------------------------------------------------------
 
 struct Fold {
-  explicit Fold(std::shared_ptr<const Garment> g, const Fabric& f, Params p = {}) : garment(std::move(g)), cloth(p) {
+  /// @param row vertices of the garment's first row.
+  explicit Fold(std::shared_ptr<const Garment> g, const Fabric& f, Params p = {}, Index row = 20)
+      : garment(std::move(g)), cloth(p) {
     cloth.reset(garment, f, Scene());
-    const std::vector<Index> corners{0, garment->vertex_count() - 20};
+    const std::vector<Index> corners{0, garment->vertex_count() - row};
     cloth.grasp(corners);
     start.resize(2, 3);
     for (int k = 0; k < 2; ++k) start.row(k) = cloth.positions().row(corners[k]);
@@ -440,6 +442,9 @@ struct Fold {
   Positions start;
 };
 std::shared_ptr<const Garment> folding_sheet() { return std::make_shared<const Garment>(sheet(20, 12, 0.02, 0.5)); }
+/// As large, and so fine that inertia is scaled and candidates are found for few vertices.
+std::shared_ptr<const Garment> fine_sheet() { return std::make_shared<const Garment>(sheet(60, 36, 0.0065, 0.3)); }
+constexpr Index kFineRow = 60;
 
 /// Largest eigenvalue of M^-1 (dt^2/4 K + dt/2 C) at these positions, K and C by differences of the forces, by power
 /// iteration.
@@ -679,6 +684,23 @@ TEST(Cloth, FoldsSettlesAndNeverCrossesItself) {
   }
 }
 
+TEST(Cloth, FineClothFoldsSettlesAndNeverCrossesItself) {
+  for (const double thickness : {0.0005, 0.001}) {
+    Fabric f = fabric();
+    f.thickness_m = thickness;
+    Fold fold(fine_sheet(), f, {}, kFineRow);
+    for (Index k = 0; k < Fold::frames; k += 8) {
+      fold.run(k, k + 8);
+      ASSERT_EQ(count_intersections(fold.cloth.positions(), fold.garment->faces), 0) << "frame " << k;
+    }
+    fold.cloth.release();
+    EXPECT_TRUE(fold.cloth.settle({}).settled);
+    EXPECT_EQ(count_intersections(fold.cloth.positions(), fold.garment->faces), 0);
+    EXPECT_GT(fold.cloth.diagnostics().contacts, 100);
+    EXPECT_GE(fold.cloth.positions().col(2).minCoeff(), thickness);
+  }
+}
+
 TEST(Cloth, LayersRestAtThicknessAndDoNotCreep) {
   // Two sheets of one garment, the upper one thickness above the lower.
   Garment two = sheet(12, 12, 0.02, 0.5);
@@ -720,31 +742,37 @@ TEST(Cloth, LayersSeparateWhenLiftedAgain) {
 }
 
 TEST(Cloth, SnapshotInContactContinuesBitForBitInAnotherObject) {
-  Fold fold(folding_sheet(), fabric());
-  fold.run(0, 75);
-  EXPECT_GT(fold.cloth.diagnostics().contacts, 0);
-  const auto snapshot = fold.cloth.save();
-  fold.run(75, 80);
-  fold.cloth.release();
-  fold.cloth.settle({0.005, 6, 40});
-  Fold other(fold.garment, fabric());
-  other.run(0, 7);
-  other.cloth.restore(*snapshot);
-  other.run(75, 80);
-  other.cloth.release();
-  other.cloth.settle({0.005, 6, 40});
-  EXPECT_EQ(fold.cloth.positions(), other.cloth.positions());
-  EXPECT_EQ(fold.cloth.velocities(), other.cloth.velocities());
+  for (const bool fine : {false, true}) {
+    const auto garment = fine ? fine_sheet() : folding_sheet();
+    const Index row = fine ? kFineRow : 20;
+    Fold fold(garment, fabric(), {}, row);
+    fold.run(0, 75);
+    EXPECT_GT(fold.cloth.diagnostics().contacts, 0);
+    const auto snapshot = fold.cloth.save();
+    fold.run(75, 80);
+    fold.cloth.release();
+    fold.cloth.settle({0.005, 6, 40});
+    Fold other(garment, fabric(), {}, row);
+    other.run(0, 7);
+    other.cloth.restore(*snapshot);
+    other.run(75, 80);
+    other.cloth.release();
+    other.cloth.settle({0.005, 6, 40});
+    EXPECT_EQ(fold.cloth.positions(), other.cloth.positions()) << "fine: " << fine;
+    EXPECT_EQ(fold.cloth.velocities(), other.cloth.velocities());
+  }
 }
 
 TEST(Cloth, AllocatesNothingInTheFrameLoop) {
-  Fold fold(folding_sheet(), fabric());
-  std::vector<Positions> targets;
-  for (Index k = 0; k < Fold::frames; ++k) targets.push_back(fold.targets(k + 1));
-  const long before = allocations;
-  for (const auto& t : targets) fold.cloth.step(t);
-  fold.cloth.settle({0.005, 6, 30});
-  EXPECT_EQ(allocations - before, 0);
+  for (const bool fine : {false, true}) {
+    Fold fold(fine ? fine_sheet() : folding_sheet(), fabric(), {}, fine ? kFineRow : 20);
+    std::vector<Positions> targets;
+    for (Index k = 0; k < Fold::frames; ++k) targets.push_back(fold.targets(k + 1));
+    const long before = allocations;
+    for (const auto& t : targets) fold.cloth.step(t);
+    fold.cloth.settle({0.005, 6, 30});
+    EXPECT_EQ(allocations - before, 0) << "fine: " << fine;
+  }
 }
 
 TEST(Cloth, OverlappingStartPushesApartGently) {
