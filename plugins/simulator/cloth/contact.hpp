@@ -60,6 +60,7 @@ class SelfContact {
     float unused = 0.0f;
     bool met() const { return normal[0] != 0.0f || normal[1] != 0.0f || normal[2] != 0.0f; }
   };
+  static_assert(sizeof(Candidate) == 32 && sizeof(Contact) == 32);
   struct Pairs {
     std::vector<Candidate> candidate;
     std::vector<Contact> contact;  ///< of the candidates
