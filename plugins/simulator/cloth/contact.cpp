@@ -488,8 +488,8 @@ void SelfContact::prepare(State& state, const Double4* x, const Double4* v, cons
     find_candidates(state, x, v, fixed, unit, block_seconds);
 }
 
-/// Marks the vertices that are not near their path any more, or not until the block's end. A vertex past half the slack
-/// would be next. @return whether candidates are searched for all.
+/// Marks the vertices that are not near their path any more, or not until the block's end. A vertex that has used a
+/// part of its slack would be next. @return whether candidates are searched for all.
 bool SelfContact::choose_strayed(State& state, const Double4* x, double block_seconds) const {
   const std::int32_t n = topology_->vertices;
   const double end = state.elapsed + block_seconds, soon = end + kSoon * kFrameSeconds;

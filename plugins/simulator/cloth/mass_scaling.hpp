@@ -1,4 +1,6 @@
 #pragma once
+#include <Eigen/SparseCore>
+#include <functional>
 #include <vector>
 
 #include "elements.hpp"
@@ -15,7 +17,8 @@ namespace weft::cloth {
 /// p is what s stages of a damped Runge-Kutta-Chebyshev step of dy/dt = a - W L y leave of a, per time, in s - 1
 /// products with L [Verwer, Hundsdorfer and Sommeijer 1990]:
 ///     p(lambda) = (1 - T_s(w0 - w1 lambda) / T_s(w0)) / (tau lambda),   largest lambda p(lambda) ~ 1 / s^2
-/// Since K <= L, no eigenvalue of p(W L) W K is above it, whichever vertices are held.
+/// Since K <= L, no eigenvalue of p(W L) W K is above it, whichever vertices are held; of a K <= r L none above r
+/// times.
 class MassScaling {
  public:
   /// @param length m: eigenvalues are at most (c / length)^2, c the larger wave speed of L, m/s; 0: no scaling.
@@ -25,6 +28,9 @@ class MassScaling {
   int stages() const { return stages_; }
   /// Bound of the eigenvalues of p(W L) W K, K the membrane's stiffness, 1/s^2. Only where stages() > 1.
   double largest() const { return largest_; }
+  /// The same for another K, such as bending's: r times that, r by power iteration of L^-1 K. K of a constant is 0.
+  /// @param stiffness writes K x to its second argument.
+  double largest(const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness) const;
   /// @param a [V] W f. @param w [V] W, per component. @return [V] p(W L) a, valid until the next call.
   const Float4* apply(const Float4* a, const Float4* w) const;
 
@@ -36,6 +42,7 @@ class MassScaling {
     float now, last, gain, slope;
   };
   std::vector<Stage> stage_;
+  Eigen::SparseMatrix<double> laplacian_;  ///< L, N/m
   /// Eight rows of L, lane by lane: sum over diagonals of value times the eight records from `at` on.
   struct alignas(32) Diagonal {
     float value[8];  ///< N/m
@@ -49,10 +56,9 @@ class MassScaling {
   void arrange(const Topology& topology, const std::vector<std::int32_t>& start,
                const std::vector<std::int32_t>& column, const std::vector<double>& value);
 
-  std::vector<std::int32_t>
-      vertex_;                       ///< of a row; the last rows repeat one so that their number is a multiple of eight
-  std::vector<std::int32_t> start_;  ///< [groups + 1] into diagonal_
-  std::vector<std::int32_t> at_;     ///< [diagonals] into Planes
+  std::vector<std::int32_t> vertex_;  ///< of a row; the last is repeated up to a multiple of eight
+  std::vector<std::int32_t> start_;   ///< [groups + 1] into diagonal_
+  std::vector<std::int32_t> at_;      ///< [diagonals] into Planes
   std::vector<Diagonal> diagonal_;
   mutable Planes a_, w_, now_, last_;
   mutable std::vector<Float4> out_;  ///< [V]

@@ -32,51 +32,40 @@ std::pair<Demand, Demand> demands(const Spectrum& s, double stretch_damping_s, d
 
 }  // namespace
 
-double largest_eigenvalue(const std::vector<double>& masses,
-                          const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness,
-                          const MassScaling* scaling) {
-  const std::size_t n = masses.size();
-  std::vector<double> w(n), k(n);
-  std::vector<Float4> a(scaling ? n : 0), inverse_mass(scaling ? n : 0);
-  for (std::size_t i = 0; i < n; ++i) w[i] = start_value(i);
-  for (std::size_t i = 0; i < inverse_mass.size(); ++i) inverse_mass[i].x = static_cast<float>(1.0 / masses[i]);
+double power_iteration(std::size_t n, const std::function<double(std::vector<double>&)>& multiply) {
+  std::vector<double> x(n);
+  for (std::size_t i = 0; i < n; ++i) x[i] = start_value(i);
   double quotient = 0.0;
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    double norm = 0.0;
+  for (int iteration = 0; iteration < kIterations; ++iteration) quotient = multiply(x);
+  return kMargin * quotient;
+}
+
+double largest_eigenvalue(const std::vector<double>& masses,
+                          const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness) {
+  const std::size_t n = masses.size();
+  std::vector<double> k(n);
+  return power_iteration(n, [&](std::vector<double>& w) {
+    double norm = 0.0, energy = 0.0;
     for (std::size_t i = 0; i < n; ++i) norm += masses[i] * w[i] * w[i];
     norm = std::sqrt(norm);
-    if (norm <= 0.0) break;
+    if (norm <= 0.0) return 0.0;
     for (double& value : w) value /= norm;
     stiffness(w, k);
-    double energy = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
       energy += w[i] * k[i];
       w[i] = k[i] / masses[i];
     }
-    quotient = energy;
-    if (!scaling || energy <= 0.0) continue;
-    // p(M^-1 L) M^-1 K is symmetric in the inner product of K.
-    for (std::size_t i = 0; i < n; ++i) a[i].x = static_cast<float>(w[i]);
-    const Float4* scaled = scaling->apply(a.data(), inverse_mass.data());
-    quotient = 0.0;
-    for (std::size_t i = 0; i < n; ++i) {
-      w[i] = static_cast<double>(scaled[i].x);
-      quotient += k[i] * w[i] / energy;
-    }
-  }
-  return kMargin * quotient;
+    return energy;
+  });
 }
 
 Spectrum largest_frequencies(const Elements& elements, const std::vector<double>& masses, const MassScaling& scaling) {
   Spectrum result;
-  const bool scaled = scaling.stages() > 1;
-  result.bending = largest_eigenvalue(
-      masses, [&](const std::vector<double>& w, std::vector<double>& out) { elements.bending_stiffness(w, out); },
-      scaled ? &scaling : nullptr);
-  if (scaled) {
-    result.membrane = scaling.largest();
-    return result;
-  }
+  const auto bending = [&](const std::vector<double>& w, std::vector<double>& out) {
+    elements.bending_stiffness(w, out);
+  };
+  if (scaling.stages() > 1) return {scaling.largest(), scaling.largest(bending)};
+  result.bending = largest_eigenvalue(masses, bending);
   const std::size_t n = masses.size();
   std::vector<std::array<double, 2>> u(n), k(n);
   for (std::size_t i = 0; i < n; ++i) u[i] = {start_value(2 * i), start_value(2 * i + 1)};

@@ -6,12 +6,14 @@
 
 namespace weft::cloth {
 
-/// Largest eigenvalue of M^-1 K, or of p(M^-1 L) M^-1 K with `scaling`, by power iteration; 5 % added for what it
-/// misses.
+/// Largest eigenvalue by power iteration from a rough vector [n]; 5 % added for what it misses.
+/// @param multiply replaces x by its product, at any scale; @return the Rayleigh quotient of x.
+double power_iteration(std::size_t n, const std::function<double(std::vector<double>&)>& multiply);
+
+/// Largest eigenvalue of M^-1 K.
 /// @param stiffness writes K x to its second argument.
 double largest_eigenvalue(const std::vector<double>& masses,
-                          const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness,
-                          const MassScaling* scaling = nullptr);
+                          const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness);
 
 /// Largest eigenvalues of M^-1 K at the flat rest shape, 1/s^2, after scaling of the masses.
 struct Spectrum {
