@@ -126,6 +126,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
                             {"factor", row.factor},
                             {"added_m", row.added_m}});
   }
+  if (!report.json.empty()) json["details"] = ordered_json::parse(report.json);
   json["provenance"] = ordered_json::parse(given.provenance());
   const std::string text = json.dump(2) + "\n";
   write_text(fs::path(out).replace_extension(".calibration.json"), text);

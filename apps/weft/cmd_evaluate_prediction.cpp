@@ -11,15 +11,59 @@
 namespace weft::app {
 namespace {
 
-int evaluate(Context& context, const std::string& file, const std::string& data) {
+/// Share within one sigma and mean normalised squared error by segments ahead, for some of these.
+void say_calibration(const Context& context, const PredictionEvaluation& result) {
+  std::vector<std::size_t> columns;
+  for (const std::size_t segments : {1, 2, 3, 5, 8, 12, 16, 20, 25}) {
+    if (segments <= result.by_step.size()) columns.push_back(segments);
+  }
+  char text[64];
+  std::string head = "by segments ahead             ";
+  for (const std::size_t segments : columns) {
+    std::snprintf(text, sizeof(text), " %6zu", segments);
+    head += text;
+  }
+  context.say(head);
+  const auto row = [&](const char* name, const char* what, const std::vector<PredictionFigures>& figures,
+                       const auto& cell) {
+    std::snprintf(text, sizeof(text), "%-20s %-9s", name, what);
+    std::string line = text;
+    for (const std::size_t segments : columns) {
+      const bool is_there = segments <= figures.size() && figures[segments - 1].n > 0;
+      line += is_there ? cell(figures[segments - 1]) : "      -";
+    }
+    context.say(line);
+  };
+  const auto rows = [&](const char* name, const std::vector<PredictionFigures>& figures) {
+    row(name, "n", figures, [&](const PredictionFigures& f) {
+      std::snprintf(text, sizeof(text), " %6td", f.n);
+      return std::string(text);
+    });
+    row("", "coverage", figures, [&](const PredictionFigures& f) {
+      std::snprintf(text, sizeof(text), " %6.3f", f.coverage_1sigma);
+      return std::string(text);
+    });
+    row("", "nse", figures, [&](const PredictionFigures& f) {
+      std::snprintf(text, sizeof(text), " %6.2f", f.nse);
+      return std::string(text);
+    });
+    row("", "  +-", figures, [&](const PredictionFigures& f) {
+      std::snprintf(text, sizeof(text), " %6.2f", f.nse_se);
+      return std::string(text);
+    });
+  };
+  rows("from start", result.by_step);
+  rows("from random segment", result.by_step_from_random);
+  rows("without knowledge", result.by_step_no_knowledge);
+}
+
+int evaluate(Context& context, const std::string& file, std::vector<std::string> folders) {
   const Prepared<ExperimentParams> given(context, file);
   const auto predictor = bound_predictor(place(given.config, "predictor"), given.task, *given.host);
-  const std::filesystem::path folder = data.empty() ? given.params.dataset : std::filesystem::path(data);
-  if (folder.empty())
+  if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
+  if (folders.empty())
     throw ConfigError("weft evaluate prediction: --data FOLDER is required (or `dataset:` in the config)");
-  context.say("reading " + folder.string());
-  const Dataset dataset = Dataset::load(folder);
-  dataset.require_task(given.task);
+  const Dataset dataset = read_datasets(context, folders, given.task);
   warn_unless_held_out(*predictor, dataset, given.params.evaluation.split, *given.host);
   const auto out = output_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
   ConfigNode saved = given.saved_config(out);
@@ -47,6 +91,7 @@ int evaluate(Context& context, const std::string& file, const std::string& data)
     std::snprintf(line, sizeof(line), "%-22s %2td  %8.2f  %9.2f", name.c_str(), f.n, f.mean_mm, f.median_mm);
     context.say(line);
   }
+  say_calibration(context, result);
   if (result.failed > 0)
     given.host->log(LogLevel::warning, std::to_string(result.failed) + " cases could not be predicted");
   if (result.shortened > 0)
@@ -64,9 +109,9 @@ void register_evaluate_prediction(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("prediction", "Accuracy and calibration of a predictor on held-out examples");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
-  auto data = std::make_shared<std::string>();
+  auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
-  command->add_option("--data", *data, "Folder of examples");
+  command->add_option("--data", *data, "Folders of examples");
   command->callback(
       [&context, file, data] { context.action = [&context, file, data] { return evaluate(context, *file, *data); }; });
 }

@@ -370,26 +370,29 @@ std::vector<std::size_t> Dataset::unseen(const std::vector<DatasetOrigin>& train
 std::string Dataset::held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on,
                                       const std::vector<DatasetOrigin>& calibrated_on) const {
   const auto chosen = select(split);
+  const auto all = origins();
   const std::string name = kSplitNames[static_cast<std::size_t>(split)];
   const auto count_of = [&](const auto& is_counted) {
-    return std::count_if(chosen.begin(), chosen.end(), [&](std::size_t i) { return is_counted(examples[i].index); });
+    return std::count_if(chosen.begin(), chosen.end(),
+                         [&](std::size_t i) { return is_counted(all[source(i)].seed, examples[i].index); });
   };
   const auto some = [&](std::ptrdiff_t count) {
     return std::to_string(count) + " of the " + std::to_string(chosen.size()) + " examples of the " + name + " split ";
   };
   std::string text;
   if (split == Split::train) {
-    const bool is_known = std::any_of(trained_on.begin(), trained_on.end(),
-                                      [&](const auto& origin) { return origin.identity == header.identity; });
-    if (!is_known && !trained_on.empty()) {
-      text = "the model was not trained on dataset " + header.identity + ": its " + name +
-             " split holds no training examples of this model";
+    for (const auto& one : all) {
+      const bool is_known = std::any_of(trained_on.begin(), trained_on.end(),
+                                        [&](const auto& origin) { return origin.identity == one.identity; });
+      if (is_known || trained_on.empty()) continue;
+      text += (text.empty() ? "" : "; ") + ("the model was not trained on dataset " + one.identity) + ": its " + name +
+              " split holds no training examples of this model";
     }
   } else {
     // Equal numbers of one seed are, whatever else the configs say, much the same example.
-    const auto count = count_of([&](std::int64_t index) {
+    const auto count = count_of([&](std::uint64_t seed, std::int64_t index) {
       return std::any_of(trained_on.begin(), trained_on.end(), [&](const auto& origin) {
-        return origin.seed == header.seed && origin.split(index) < split;  // train < validation < test
+        return origin.seed == seed && origin.split(index) < split;  // train < validation < test
       });
     });
     if (count > 0) {
@@ -399,10 +402,9 @@ std::string Dataset::held_out_warning(Split split, const std::vector<DatasetOrig
              "data.test_fraction differ";
     }
   }
-  const auto count = count_of([&](std::int64_t index) {
-    return std::any_of(calibrated_on.begin(), calibrated_on.end(), [&](const auto& origin) {
-      return origin.seed == header.seed && is_unseen(origin, index, trained_on);
-    });
+  const auto count = count_of([&](std::uint64_t seed, std::int64_t index) {
+    return std::any_of(calibrated_on.begin(), calibrated_on.end(),
+                       [&](const auto& origin) { return origin.seed == seed && is_unseen(origin, index, trained_on); });
   });
   if (count > 0) text += (text.empty() ? "" : "; ") + some(count) + "may be those that its sigma was calibrated on";
   return text;

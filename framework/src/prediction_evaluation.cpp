@@ -5,9 +5,12 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
 #include <numeric>
+#include <set>
+#include <tuple>
 
 #include "weft/report.hpp"
 
@@ -20,29 +23,42 @@ constexpr std::size_t kShownExamples = 50;  // with their shapes, on the page
 
 /// Collects cases of one row of the table.
 struct Tally {
-  std::vector<double> errors;
-  double steps = 0.0, nll = 0.0, inside = 0.0, square = 0.0, sigma = 0.0;
-  double coordinates = 0.0;
+  std::vector<double> errors, inside, square;  // per case; the last two are means over its coordinates
+  std::vector<std::size_t> examples;           // per case
+  double steps = 0.0, nll = 0.0, sigma = 0.0;
 
-  void add(const Positions& truth, Index ahead) {
-    steps += static_cast<double>(ahead);
-    coordinates += static_cast<double>(truth.size());
-  }
-  void add(const ShapeDistribution& predicted, const Positions& truth, Index ahead) {
-    add(truth, ahead);
-    errors.push_back(mean_distance_mm(predicted.mean, truth));
+  void add(std::size_t example, const ShapeDistribution& predicted, const Positions& truth, Index ahead) {
+    add(example, predicted.mean, truth, ahead);
+    double likelihood = 0.0, within = 0.0, squares = 0.0, sigmas = 0.0;
     for (Index i = 0; i < truth.size(); ++i) {
       const double s = predicted.sigma.data()[i] * 1e3;
       const double r = (predicted.mean.data()[i] - truth.data()[i]) * 1e3 / s;
-      nll += 0.5 * r * r + std::log(s) + 0.5 * std::log(2.0 * std::numbers::pi);
-      inside += std::abs(r) <= 1.0;
-      square += r * r;
-      sigma += s;
+      likelihood += 0.5 * r * r + std::log(s) + 0.5 * std::log(2.0 * std::numbers::pi);
+      within += std::abs(r) <= 1.0;
+      squares += r * r;
+      sigmas += s;
     }
+    const auto coordinates = static_cast<double>(truth.size());
+    nll += likelihood / coordinates;
+    sigma += sigmas / coordinates;
+    inside.push_back(within / coordinates);
+    square.push_back(squares / coordinates);
   }
-  void add(const Positions& predicted, const Positions& truth, Index ahead) {
-    add(truth, ahead);
+  void add(std::size_t example, const Positions& predicted, const Positions& truth, Index ahead) {
+    steps += static_cast<double>(ahead);
     errors.push_back(mean_distance_mm(predicted, truth));
+    examples.push_back(example);
+  }
+  /// Mean and its standard error, when the cases of an example are one observation.
+  std::pair<double, double> mean(const std::vector<double>& values) const {
+    if (values.empty()) return {};
+    const auto n = static_cast<double>(values.size());
+    const double mean = std::accumulate(values.begin(), values.end(), 0.0) / n;
+    std::map<std::size_t, double> deviations;
+    for (std::size_t k = 0; k < values.size(); ++k) deviations[examples[k]] += values[k] - mean;
+    double squares = 0.0;
+    for (const auto& [example, deviation] : deviations) squares += deviation * deviation;
+    return {mean, std::sqrt(squares) / n};
   }
   PredictionFigures figures() const {
     PredictionFigures f;
@@ -51,14 +67,15 @@ struct Tally {
     const auto n = static_cast<double>(f.n);
     std::vector<double> sorted = errors;
     std::sort(sorted.begin(), sorted.end());
-    for (const double e : sorted) f.mean_mm += e / n;
+    f.examples = static_cast<Index>(std::set<std::size_t>(examples.begin(), examples.end()).size());
+    std::tie(f.mean_mm, f.mean_mm_se) = mean(errors);
     const std::size_t middle = sorted.size() / 2;
     f.median_mm = sorted.size() % 2 == 1 ? sorted[middle] : 0.5 * (sorted[middle - 1] + sorted[middle]);
     f.steps = steps / n;
-    f.nll = nll / coordinates;
-    f.coverage_1sigma = inside / coordinates;
-    f.nse = square / coordinates;
-    f.sigma_mm = sigma / coordinates;
+    f.nll = nll / n;
+    f.sigma_mm = sigma / n;
+    std::tie(f.coverage_1sigma, f.coverage_1sigma_se) = mean(inside);
+    std::tie(f.nse, f.nse_se) = mean(square);
     return f;
   }
 };
@@ -93,8 +110,8 @@ std::map<std::string, PredictionFigures> measure_baselines(const Dataset& datase
   const auto settled = [&](std::size_t i) { return dataset.shape(i, dataset.examples[i].segments()); };
   for (const auto i : test) {
     const auto& e = dataset.examples[i];
-    tallies["persistence"].add(dataset.shape(i, e.segments() - 1), settled(i), 1);
-    tallies["start_shape"].add(dataset.shape(i, 0), settled(i), e.segments());
+    tallies["persistence"].add(i, dataset.shape(i, e.segments() - 1), settled(i), 1);
+    tallies["start_shape"].add(i, dataset.shape(i, 0), settled(i), e.segments());
   }
   std::map<std::string, PredictionFigures> figures;
   if (train.size() >= 2) {
@@ -141,32 +158,64 @@ std::map<std::string, PredictionFigures> measure_baselines(const Dataset& datase
       const auto& e = dataset.examples[i];
       const Positions truth = settled(i);
       const Index k = e.segments();
-      tallies["mean_shape"].add(positions(centre), truth, k);
+      tallies["mean_shape"].add(i, positions(centre), truth, k);
       Vector x(f + 1);
       x.head(f) = (describe_example(e, trajectory) - mean).cwiseQuotient(sd);
       x(f) = 1.0;
-      tallies["linear_pca"].add(positions(centre + basis * (weights.transpose() * x).cast<float>()), truth, k);
+      tallies["linear_pca"].add(i, positions(centre + basis * (weights.transpose() * x).cast<float>()), truth, k);
       Index nearest_inputs = 0, nearest_shape = 0;
       (design.rowwise() - x.transpose()).rowwise().squaredNorm().minCoeff(&nearest_inputs);
       const Eigen::VectorXf flat = Eigen::Map<const Vector>(truth.data(), n).cast<float>();
       (shapes.colwise() - flat).colwise().squaredNorm().minCoeff(&nearest_shape);
-      tallies["nearest_example"].add(positions(shapes.col(nearest_inputs)), truth, k);
-      tallies["nearest_example_oracle"].add(positions(shapes.col(nearest_shape)), truth, k);
+      tallies["nearest_example"].add(i, positions(shapes.col(nearest_inputs)), truth, k);
+      tallies["nearest_example_oracle"].add(i, positions(shapes.col(nearest_shape)), truth, k);
     }
   }
   for (const auto& [name, tally] : tallies) figures[name] = tally.figures();
   return figures;
 }
 
+struct Start {
+  std::size_t example = 0;  // position in the dataset
+  Index segment = 0;
+};
+std::vector<Start> first_starts(const std::vector<std::size_t>& examples) {
+  std::vector<Start> starts;
+  for (const std::size_t i : examples) starts.push_back({i, 0});
+  return starts;
+}
+/// Segments drawn from each example without repetition, never its first, which from_start measures.
+std::vector<Start> random_starts(const Dataset& dataset, const std::vector<std::size_t>& examples, std::int64_t count,
+                                 std::uint64_t seed) {
+  std::vector<Start> starts;
+  for (const std::size_t i : examples) {
+    const auto& e = dataset.examples[i];
+    RandomStream random(seed, 0x7374617274ull, static_cast<std::uint64_t>(e.index));
+    std::vector<Index> segments;
+    for (Index j = 1; j < e.segments(); ++j) segments.push_back(j);
+    for (std::size_t k = 0; k < segments.size() && k < static_cast<std::size_t>(count); ++k) {
+      std::swap(segments[k], segments[k + random.below(segments.size() - k)]);
+      starts.push_back({i, segments[k]});
+    }
+  }
+  return starts;
+}
+
 }  // namespace
 
 PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
                                          const PredictionEvaluationParams& params, std::uint64_t seed, Host& host) {
-  std::vector<std::size_t> chosen = dataset.select(split_named(params.split));
+  std::vector<std::size_t> chosen;
+  if (params.split == kEverySplit) {
+    for (std::size_t i = 0; i < dataset.examples.size(); ++i) {
+      if (!dataset.examples[i].failed()) chosen.push_back(i);
+    }
+  } else {
+    chosen = dataset.select(split_named(params.split));
+  }
   if (params.max_examples > 0 && static_cast<std::size_t>(params.max_examples) < chosen.size())
     chosen.resize(static_cast<std::size_t>(params.max_examples));
-  if (chosen.empty())
-    throw ConfigError("the dataset has no example in its " + params.split + " split; make more examples");
+  if (chosen.empty()) throw ConfigError("the dataset has no example in split " + params.split + "; make more examples");
 
   PredictionEvaluation result;
   // The three ways to ask, over all of their steps at once.
@@ -181,18 +230,15 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
   for (const auto& way : ways) {
     Tally settled;
     std::vector<Tally> by_step;
-    for (std::size_t first = 0; first < chosen.size() && !host.cancelled();
+    const std::vector<Start> starts =
+        way.from_random ? random_starts(dataset, chosen, params.random_starts, seed) : first_starts(chosen);
+    for (std::size_t first = 0; first < starts.size() && !host.cancelled();
          first += static_cast<std::size_t>(params.batch)) {
-      const std::size_t count = std::min(static_cast<std::size_t>(params.batch), chosen.size() - first);
+      const std::size_t count = std::min(static_cast<std::size_t>(params.batch), starts.size() - first);
       std::vector<PredictionCase> cases;
-      std::vector<Index> starts;
       for (std::size_t b = 0; b < count; ++b) {
-        const std::size_t i = chosen[first + b];
+        const auto [i, start] = starts[first + b];
         const auto& e = dataset.examples[i];
-        RandomStream random(seed, 0x7374617274ull, static_cast<std::uint64_t>(e.index));
-        const Index start =
-            way.from_random ? static_cast<Index>(random.below(static_cast<std::uint64_t>(e.segments()))) : 0;
-        starts.push_back(start);
         PredictionCase one;
         one.shape = std::make_shared<const Positions>(dataset.shape(i, start));
         if (start > 0) one.previous = std::make_shared<const Positions>(dataset.shape(i, start - 1));
@@ -212,19 +258,19 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
           ++result.failed;
           continue;
         }
-        const std::size_t i = chosen[first + b];
+        const auto [i, start] = starts[first + b];
         const auto steps = static_cast<std::size_t>(cases[b].controls.rows());
         if (by_step.size() < steps) by_step.resize(steps);
         for (std::size_t j = 0; j < steps; ++j) {
-          const Positions truth = dataset.shape(i, starts[b] + static_cast<Index>(j) + 1);
-          by_step[j].add(prediction->shapes()[b][j], truth, static_cast<Index>(j) + 1);
-          const bool at_end = starts[b] + static_cast<Index>(j) + 1 == dataset.examples[i].segments();
-          if (!at_end || !dataset.examples[i].released) continue;
           const ShapeDistribution& shape = prediction->shapes()[b][j];
-          settled.add(shape, truth, static_cast<Index>(steps));
+          const Index ahead = static_cast<Index>(j) + 1;
+          const Positions truth = dataset.shape(i, start + ahead);
+          by_step[j].add(i, shape, truth, ahead);
+          if (start + ahead < dataset.examples[i].segments() || !dataset.examples[i].released) continue;
+          settled.add(i, shape, truth, ahead);
           if (way.settled != &result.from_start) continue;
-          result.examples.push_back({dataset.examples[i].index, static_cast<Index>(steps),
-                                     mean_distance_mm(shape.mean, truth), 1e3 * shape.sigma.rowwise().norm().mean()});
+          result.examples.push_back({dataset.examples[i].index, ahead, mean_distance_mm(shape.mean, truth),
+                                     1e3 * shape.sigma.rowwise().norm().mean()});
           if (result.settled.size() < kShownExamples) {
             result.settled.push_back(truth);
             result.predicted.push_back(shape.mean);
@@ -250,11 +296,15 @@ namespace {
 ordered_json to_json(const PredictionFigures& f) {
   return {{"steps", f.steps},
           {"n", f.n},
+          {"examples", f.examples},
           {"mean_mm", f.mean_mm},
+          {"mean_mm_se", f.mean_mm_se},
           {"median_mm", f.median_mm},
           {"nll", f.nll},
           {"nse", f.nse},
+          {"nse_se", f.nse_se},
           {"coverage_1sigma", f.coverage_1sigma},
+          {"coverage_1sigma_se", f.coverage_1sigma_se},
           {"sigma_mm", f.sigma_mm}};
 }
 
@@ -298,14 +348,17 @@ void write_prediction_shapes(const PredictionEvaluation& r, const Garment& garme
 }
 
 std::string prediction_evaluation_csv(const PredictionEvaluation& r) {
-  std::string text = "what,steps,n,mean_mm,median_mm,nll,coverage_1sigma,nse,sigma_mm\n";
+  std::string text =
+      "what,steps,n,mean_mm,median_mm,nll,coverage_1sigma,nse,sigma_mm,examples,mean_mm_se,coverage_1sigma_se,nse_se\n";
   const auto row = [&](const std::string& what, const PredictionFigures& f, bool has_sigma) {
-    char line[240];
+    char line[320];
     if (has_sigma) {
-      std::snprintf(line, sizeof(line), ",%.9g,%td,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g\n", f.steps, f.n, f.mean_mm,
-                    f.median_mm, f.nll, f.coverage_1sigma, f.nse, f.sigma_mm);
+      std::snprintf(line, sizeof(line), ",%.9g,%td,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g,%td,%.9g,%.9g,%.9g\n", f.steps, f.n,
+                    f.mean_mm, f.median_mm, f.nll, f.coverage_1sigma, f.nse, f.sigma_mm, f.examples, f.mean_mm_se,
+                    f.coverage_1sigma_se, f.nse_se);
     } else {
-      std::snprintf(line, sizeof(line), ",%.9g,%td,%.9g,%.9g,,,,\n", f.steps, f.n, f.mean_mm, f.median_mm);
+      std::snprintf(line, sizeof(line), ",%.9g,%td,%.9g,%.9g,,,,,%td,%.9g,,\n", f.steps, f.n, f.mean_mm, f.median_mm,
+                    f.examples, f.mean_mm_se);
     }
     text += what + line;
   };

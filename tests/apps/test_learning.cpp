@@ -125,6 +125,38 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
     }
   }
   EXPECT_THAT(bytes_of(folder / "e/prediction.csv"), HasSubstr("settled.no_knowledge"));
+  // Standard errors; predictions from within an example are several, and one observation.
+  const auto& from_start = figures.at("settled").at("from_start");
+  double squares = 0.0;
+  for (const auto& one : figures.at("cases")) squares += std::pow(one.at("error_mm").get<double>() - error, 2);
+  const auto n = from_start.at("n").get<double>();
+  EXPECT_NEAR(from_start.at("mean_mm_se").get<double>(), std::sqrt(squares) / n, 1e-9);
+  EXPECT_EQ(from_start.at("examples"), from_start.at("n"));
+  const auto &first = figures.at("by_step_from_random")[0], &within = figures.at("settled").at("from_random");
+  EXPECT_EQ(first.at("examples"), figures.at("by_step")[0].at("n"));
+  EXPECT_EQ(first.at("n"), 4 * first.at("examples").get<int>());
+  EXPECT_GT(within.at("nse_se").get<double>(), 0.0);
+  EXPECT_GT(within.at("coverage_1sigma_se").get<double>(), 0.0);
+  const auto figures_of_starts = [&](int starts, const char* name) {
+    const Outcome outcome =
+        weft_command("evaluate prediction '" + kConfig + "' --data " + quoted(whole) +
+                     " --set predictor.params.model=" + quoted(folder / "a/model.h5") +
+                     " --set evaluation.baselines=false --set evaluation.random_starts=" + std::to_string(starts) +
+                     " --out " + quoted(folder / name));
+    EXPECT_EQ(outcome.code, 0) << outcome.output;
+    for (const char* what : {"by segments ahead", "coverage", "nse", "+-"})
+      EXPECT_THAT(outcome.output, HasSubstr(what));
+    return nlohmann::json::parse(bytes_of(folder / name / "prediction.json"));
+  };
+  const auto one_start = figures_of_starts(1, "e1"), all_starts = figures_of_starts(200, "e200");
+  EXPECT_EQ(one_start.at("by_step_from_random")[0].at("n"), one_start.at("by_step")[0].at("n"));
+  // All segments but each example's first: as many as there are later ones.
+  int later = 0;
+  for (std::size_t j = 1; j < all_starts.at("by_step").size(); ++j)
+    later += all_starts.at("by_step")[j].at("n").get<int>();
+  EXPECT_EQ(all_starts.at("by_step_from_random")[0].at("n"), later);
+  EXPECT_EQ(all_starts.at("by_step_from_random").size(), all_starts.at("by_step").size() - 1);
+  EXPECT_EQ(all_starts.at("by_step"), one_start.at("by_step"));
 
   // The same examples with other split fractions: most of their test split was trained on. Every command that reads
   // it says so, and that a split of examples that nobody trained on is no train split.
@@ -204,6 +236,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
     EXPECT_GT(row.at("predictions"), 0);
     for (const double factor : row.at("factor")) EXPECT_GT(factor, 0.0);
   }
+  EXPECT_TRUE(told.at("details").at("sigma_layer").contains("held_out_loss"));
   // The same again, and as JSON; the model that it began with is untouched.
   const std::string before = bytes_of(model), made = bytes_of(out);
   const Outcome again =
@@ -225,6 +258,17 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_THAT(warnings(out, "train"), HasSubstr("its sigma was calibrated on"));
   EXPECT_THAT(warnings(model, "train"), Not(HasSubstr("calibrated on")));
   EXPECT_THAT(warnings(out, "test"), Not(HasSubstr("warning")));
+  EXPECT_THAT(warnings(out, "all"), HasSubstr("not all of these are held out"));
+  EXPECT_THAT(warnings(model, "all"), Not(HasSubstr("warning")));
+  const auto every = nlohmann::json::parse(bytes_of(folder / "e/prediction.json"));
+  EXPECT_EQ(every.at("by_step")[0].at("n"), 24);
+  // Of several datasets, all.
+  const Outcome both =
+      weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) + " " + quoted(known) +
+                   " --set evaluation.baselines=false --set evaluation.split=all " +
+                   "--set predictor.params.model=" + quoted(model) + " --out " + quoted(folder / "e2"));
+  EXPECT_THAT(both.output, HasSubstr("seed " + std::to_string(second.header.seed)));
+  EXPECT_EQ(nlohmann::json::parse(bytes_of(folder / "e2/prediction.json")).at("by_step")[0].at("n"), 64);
 
   // Bad input is one line, and nothing is written.
   const auto refused = [&](const std::string& arguments) {

@@ -826,6 +826,7 @@ Params fitted(const Folder& folder, const Task& task, std::int64_t iterations = 
       .fit(toy_dataset(task, 60), task, {.seed = 4, .model = folder / "fitted.h5"},
            [](const FitProgress&) { return true; });
   params.training.half_precision = true;
+  params.training.sigma_passes = 0;  // the sigma layer's own fit has tests of its own
   params.model = folder / "fitted.h5";
   return params;
 }
@@ -998,6 +999,140 @@ TEST(EmdRecalibration, TheFirstDatasetDecidesAndOthersFillIn) {
   EXPECT_LT(longest.shapes.back(), 20);
   EXPECT_GT(longest.factor.back() * (1e-3 + longest.added_m.back()),
             alone[0].factor.back() * (1e-3 + alone[0].added_m.back()));
+}
+
+/// Mean and sigma of every shape of the test split, from its start with exact knowledge, without any calibration.
+struct Predicted {
+  std::vector<Positions> mean, sigma;
+  Predicted(const std::filesystem::path& file, const Params& params, const Dataset& data, const Task& task) {
+    TestHost host;
+    const Folder folder;
+    Model model = load_model(file);
+    model.calibration.assign(4, 1.0f);
+    model.calibration_added.clear();
+    save_model(folder / "plain.h5", model, false);
+    Params plain = params;
+    plain.model = folder / "plain.h5";
+    EmdPredictor predictor(plain, host);
+    predictor.bind(task);
+    for (const auto i : data.select(Split::test)) {
+      PredictionCase start = whole_example(data, i);
+      for (Index j = 1; j <= data.examples[i].segments(); ++j) start.segments.push_back(j);
+      const auto prediction = predictor.predict({start}, {});
+      for (Index j = 1; j <= data.examples[i].segments(); ++j) {
+        const auto& shape = prediction->shapes()[0][static_cast<std::size_t>(j) - 1];
+        mean.push_back(shape.mean);
+        sigma.push_back(shape.sigma);
+      }
+    }
+  }
+  /// Mean log sigma of an axis over all vertices and shapes.
+  double log_sigma(Index axis) const {
+    double sum = 0.0;
+    for (const auto& s : sigma) sum += s.col(axis).array().log().mean();
+    return sum / static_cast<double>(sigma.size());
+  }
+};
+
+// Sigma that is wrong in a way that no factor mends, too small along x and too large along z, comes back; every mean
+// and every other weight is the same bit for bit.
+TEST(EmdSigmaLayer, IsFittedAnewAndNoMeanMoves) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host(1), more(3);
+  Params params = fitted(folder, task, 300);
+  Model wrong = load_model(params.model);
+  const Layout layout(wrong.architecture, wrong.dimensions);
+  const auto& bias = layout.weights[static_cast<std::size_t>(layout.sigma_bias)];
+  for (std::size_t c = 0; c < bias.size(); ++c)
+    wrong.weights[bias.offset + c] = round_to_half(wrong.weights[bias.offset + c] + (c % 3 == 0   ? -0.5f
+                                                                                     : c % 3 == 2 ? 0.5f
+                                                                                                  : 0.0f));
+  params.model = folder / "wrong.h5";
+  save_model(params.model, wrong, true);
+  const Dataset fresh = toy_dataset(task, 150, 2);
+  params.training.sigma_passes = 100;
+  EmdPredictor predictor(params, host);
+  predictor.bind(task);
+  const auto examples = fresh.unseen(predictor.trained_on());
+  const CalibrationReport report =
+      predictor.calibrate(fresh, examples, task, {.seed = 5, .model = folder / "right.h5"});
+  const auto told = nlohmann::json::parse(report.json).at("sigma_layer");
+  EXPECT_TRUE(told.at("fitted").get<bool>());
+  EXPECT_LT(told.at("held_out_loss").at("after").get<double>(),
+            told.at("held_out_loss").at("before").get<double>() - 0.1);
+
+  const Predicted before(params.model, params, fresh, task), after(folder / "right.h5", params, fresh, task),
+      truth(folder / "fitted.h5", params, fresh, task);
+  ASSERT_GT(before.mean.size(), 100u);
+  EXPECT_EQ(before.mean, after.mean);
+  const auto slant = [](const Predicted& p) { return p.log_sigma(2) - p.log_sigma(0); };
+  EXPECT_GT(slant(before) - slant(truth), 0.7);  // 1, but for sigma's floor
+  EXPECT_NEAR(slant(after), slant(truth), 0.2);
+  Model back = load_model(folder / "right.h5");
+  EXPECT_TRUE(fits_half(back));
+  const auto& matrix = layout.weights[static_cast<std::size_t>(layout.sigma)];
+  for (const auto* of : {&bias, &matrix})
+    std::copy_n(wrong.weights.begin() + static_cast<std::ptrdiff_t>(of->offset), of->size(),
+                back.weights.begin() + static_cast<std::ptrdiff_t>(of->offset));
+  EXPECT_EQ(back.weights, wrong.weights);
+  // The same bits on any number of threads.
+  EmdPredictor(params, more).calibrate(fresh, examples, task, {.seed = 5, .model = folder / "again.h5"});
+  EXPECT_EQ(bytes_of(folder / "again.h5"), bytes_of(folder / "right.h5"));
+}
+
+// Heights that are now and then far off: the more the fourth moment counts, the wider is their sigma, and theirs alone.
+TEST(EmdSigmaLayer, TailsMakeSigmaWiderWhereTheyAre) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host;
+  Params params = fitted(folder, task, 300);
+  Dataset fresh = toy_dataset(task, 100, 2);
+  RandomStream random(6);
+  for (auto& e : fresh.examples) {
+    for (std::size_t c = 0; c < e.shapes.size(); ++c)
+      e.shapes[c] += static_cast<float>(random.normal() * (c % 3 == 2 && random.uniform() < 0.02 ? 0.1 : 0.005));
+  }
+  double log_sigma[2][2];
+  for (const bool has_tails : {false, true}) {
+    params.training.sigma_passes = 400;
+    params.training.sigma_tails = has_tails ? 0.3 : 0.0;
+    EmdPredictor predictor(params, host);
+    predictor.bind(task);
+    predictor.calibrate(fresh, fresh.unseen(predictor.trained_on()), task, {.seed = 5, .model = folder / "new.h5"});
+    const Predicted now(folder / "new.h5", params, fresh, task);
+    for (const int axis : {0, 1}) log_sigma[has_tails][axis] = now.log_sigma(axis == 0 ? 0 : 2);
+  }
+  const double x = log_sigma[true][0] - log_sigma[false][0], z = log_sigma[true][1] - log_sigma[false][1];
+  SCOPED_TRACE(std::to_string(x) + " " + std::to_string(z));
+  EXPECT_NEAR(x, 0.0, 0.12);
+  EXPECT_GT(z, x + 0.1);
+}
+
+// What makes held-out examples no likelier is left alone, and so is a layer with next to nothing to fit it to.
+TEST(EmdSigmaLayer, StaysWhenItsFitIsNoBetter) {
+  const Folder folder;
+  const Task task = patch_task();
+  TestHost host;
+  Params params = fitted(folder, task, 300);
+  const auto weights = load_model(params.model).weights;
+  const Dataset fresh = toy_dataset(task, 60, 2);
+  const auto fitted_to = [&](std::size_t count) {
+    EmdPredictor predictor(params, host);
+    predictor.bind(task);
+    auto examples = fresh.unseen(predictor.trained_on());
+    examples.resize(count);
+    const auto report = predictor.calibrate(fresh, examples, task, {.seed = 5, .model = folder / "new.h5"});
+    EXPECT_EQ(load_model(folder / "new.h5").weights, weights);
+    return nlohmann::json::parse(report.json).at("sigma_layer");
+  };
+  params.training.sigma_passes = 4000;  // six examples, again and again
+  const auto told = fitted_to(6);
+  EXPECT_FALSE(told.at("fitted").get<bool>());
+  EXPECT_GT(told.at("held_out_loss").at("after").get<double>(), told.at("held_out_loss").at("before").get<double>());
+  EXPECT_FALSE(fitted_to(5).contains("held_out_loss"));
+  params.training.sigma_passes = 0;
+  EXPECT_FALSE(fitted_to(40).at("fitted").get<bool>());
 }
 
 TEST(EmdRecalibration, WhatCannotBeCalibratedIsRefused) {

@@ -395,6 +395,19 @@ TEST(Dataset, SaysWhenSigmaWasCalibratedOnASplit) {
   EXPECT_EQ(data.held_out_warning(Split::train, {own}, {own}), "");
   EXPECT_TRUE(all_of(Split::validation, {own}));
   EXPECT_EQ(data.held_out_warning(Split::validation, {own}, {other}), "");
+
+  // Of several, each by what it is.
+  Dataset both = data, second = data;
+  second.header.identity = other.identity;
+  second.header.seed = other.seed;
+  both.append(second);
+  const DatasetOrigin next = second.header.origin();
+  const std::string n = std::to_string(data.select(Split::train).size()),
+                    all = std::to_string(both.select(Split::train).size());
+  EXPECT_NE(both.held_out_warning(Split::train, {own}, {next}).find(n + " of the " + all), std::string::npos);
+  const std::string untrained = both.held_out_warning(Split::train, {own}, {});
+  EXPECT_NE(untrained.find("was not trained on dataset " + other.identity), std::string::npos);
+  EXPECT_EQ(untrained.find("was not trained on dataset " + own.identity), std::string::npos);
 }
 
 TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {

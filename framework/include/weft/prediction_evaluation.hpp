@@ -11,11 +11,14 @@ namespace weft {
 struct PredictionFigures {
   double steps = 0.0;                     ///< segments predicted ahead; their mean where cases differ
   Index n = 0;                            ///< cases
+  Index examples = 0;                     ///< that they come from
   double mean_mm = 0.0, median_mm = 0.0;  ///< over cases, of the mean vertex distance
   double nll = 0.0;                       ///< mean over coordinates of -log density, lengths in mm
   double coverage_1sigma = 0.0;           ///< share of the coordinates within one sigma (normal: 0.683)
   double nse = 0.0;                       ///< mean of (error / sigma)^2 (calibrated: 1)
   double sigma_mm = 0.0;                  ///< mean sigma
+  /// Standard errors of the means above, for which the cases of one example count as one observation.
+  double mean_mm_se = 0.0, coverage_1sigma_se = 0.0, nse_se = 0.0;
 };
 
 /// A released example, predicted from its start with its material known.

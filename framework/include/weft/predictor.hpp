@@ -101,7 +101,7 @@ struct PredictorCapabilities {
 class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
-  static constexpr int kVersion = 4;  // bump on any change to this class, the types above or trainable.hpp
+  static constexpr int kVersion = 5;  // bump on any change to this class, the types above or trainable.hpp
   virtual ~Predictor() = default;
 
   virtual PredictorCapabilities capabilities() const = 0;

@@ -54,6 +54,7 @@ struct CalibrationRow {
 struct CalibrationReport {
   std::int64_t examples = 0;
   std::vector<CalibrationRow> rows;
+  std::string json;  ///< what else the predictor has to say of it, a JSON object; empty: nothing
 };
 
 /// A predictor that learns from examples. Reached through Predictor::trainable(): RTTI does not reach across plugins.
@@ -70,9 +71,9 @@ class WEFT_API TrainablePredictor {
   virtual void load(const std::filesystem::path& file) = 0;
   /// The datasets that the model it holds was fitted to; empty when there is none, or it does not say.
   virtual std::vector<DatasetOrigin> trained_on() const { return {}; }
-  /// Keeps the model that it holds and finds anew how wide its sigma must be, on these examples alone. What is found is
-  /// to hold for the first of the datasets; the others help out where it has too few shapes. Writes the model to
-  /// options.model and holds it afterwards.
+  /// Finds anew how wide the sigma of the model that it holds must be, on these examples alone; the means that it
+  /// predicts stay. What is found is to hold for the first of the datasets; the others help out where it has too few
+  /// shapes. Writes the model to options.model and holds it afterwards.
   /// @param examples positions in dataset.examples, ascending; as of Dataset::unseen(trained_on()).
   /// @throws ConfigError when this predictor cannot do that, holds no model, or data and task do not fit; Unsupported.
   virtual CalibrationReport calibrate(const Dataset& dataset, const std::vector<std::size_t>& examples,

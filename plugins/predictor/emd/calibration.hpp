@@ -43,14 +43,19 @@ class SigmaTally {
       for (std::size_t f = 0; f < kFactors; ++f) inside_[a][f] += (sum += inside[f]) / static_cast<double>(n);
     }
   }
-  void add(const SigmaTally& t) {
-    shapes_ += t.shapes_;
+  /// @param weight of each of its shapes.
+  void add(const SigmaTally& t, double weight = 1.0) {
+    shapes_ += weight * t.shapes_;
     for (std::size_t a = 0; a < kAdded.size(); ++a) {
-      square_[a] += t.square_[a];
-      fourth_[a] += t.fourth_[a];
-      log_sigma_[a] += t.log_sigma_[a];
-      for (std::size_t f = 0; f < kFactors; ++f) inside_[a][f] += t.inside_[a][f];
+      square_[a] += weight * t.square_[a];
+      fourth_[a] += weight * t.fourth_[a];
+      log_sigma_[a] += weight * t.log_sigma_[a];
+      for (std::size_t f = 0; f < kFactors; ++f) inside_[a][f] += weight * t.inside_[a][f];
     }
+  }
+  /// Adds its shapes, all with one weight, until there are so many.
+  void add_up_to(double wanted, const SigmaTally& t) {
+    if (t.shapes_ > 0.0 && shapes_ < wanted) add(t, std::min(1.0, (wanted - shapes_) / t.shapes_));
   }
   double shapes() const { return shapes_; }
 
@@ -65,10 +70,10 @@ class SigmaTally {
       const double expected = mean + std::sqrt(variance / shapes_);
       for (std::size_t f = 0; f < kFactors; ++f) {
         const double factor = std::exp(std::log(kLeast) + static_cast<double>(f) * spacing());
-        const double off = std::max(std::abs(std::log(expected / (factor * factor))) / std::log(1.25),
-                                    std::abs(inside_[a][f] / shapes_ - 0.68) / 0.06);
+        const double off = std::max(std::abs(std::log(expected / (factor * factor))) / (kSquare * std::log(1.25)),
+                                    std::abs(inside_[a][f] / shapes_ - 0.68) / (kInside * 0.06));
         const double loss = log_sigma_[a] / shapes_ + std::log(factor) + 0.5 * mean / (factor * factor);
-        const double rank = off < kWithin ? loss : 1e6 * off;
+        const double rank = off < 1.0 ? loss : 1e6 * off;
         if (rank < least) {
           least = rank;
           best = {static_cast<float>(factor), static_cast<float>(kAdded[a] / static_cast<double>(kLength))};
@@ -82,7 +87,8 @@ class SigmaTally {
   static constexpr std::size_t kFactors = 49;
   static constexpr double kLeast = 0.4, kMost = 2.5;
   static constexpr std::array<double, 8> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3, 4.0e-3};  // m
-  static constexpr double kWithin = 0.6;  // of the bounds
+  /// How much of the bounds may be used: over some hundred shapes the mean square scatters more than the share.
+  static constexpr double kSquare = 0.42, kInside = 0.88;
   static double spacing() { return std::log(kMost / kLeast) / static_cast<double>(kFactors - 1); }
 
   double shapes_ = 0.0;
@@ -94,11 +100,15 @@ class SigmaTally {
 
 class Passes;
 
+/// Examples, and what sigma of these is predicted with.
+struct CalibrationPart {
+  std::vector<std::size_t> examples;  ///< positions in the dataset
+  const std::vector<float>& weights;  ///< the model's own may be older ones
+};
 /// Finds the model's calibration on these examples: per number of segments, from the start of a session and from within
 /// one, with exact knowledge and with none. What is found is for the first dataset; the others help out where it has
 /// few shapes.
-/// @param weights what sigma is predicted with; the model's own may be older ones.
-std::vector<CalibrationRow> find_calibration(Passes& passes, Model& model, const std::vector<float>& weights,
-                                             const std::vector<std::size_t>& examples, std::uint64_t seed);
+std::vector<CalibrationRow> find_calibration(Passes& passes, Model& model, const std::vector<CalibrationPart>& parts,
+                                             std::uint64_t seed);
 
 }  // namespace weft::emd

@@ -413,14 +413,14 @@ CalibrationReport EmdPredictor::calibrate(const Dataset& dataset, const std::vec
       throw ShapeError("emd: the dataset has no good example at position " + std::to_string(i));
   }
   const auto run = reinterpret_cast<CalibrationFunction>(training_function("weft_emd_calibrate"));
-  CalibrationJob job{dataset, examples, options.seed, host_, *model_, {}};
+  CalibrationJob job{dataset, examples, params_.training, options.seed, host_, *model_, {}};
   run(job);
   job.model.calibrated = dataset.origins();
   // In the precision it came in: what was stored as halves is whole as halves.
   if (!options.model.empty()) save_model(options.model, job.model, fits_half(job.model));
   model_ = std::make_shared<const Model>(std::move(job.model));
   bound_.reset();
-  return {static_cast<std::int64_t>(examples.size()), std::move(job.rows)};
+  return std::move(job.report);
 }
 
 std::vector<DatasetOrigin> EmdPredictor::calibrated_on() const {

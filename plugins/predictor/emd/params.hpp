@@ -78,6 +78,8 @@ struct Training {
   std::int64_t max_examples = 0;
   bool half_precision = true;
   bool calibrate = true;
+  std::int64_t sigma_passes = 20;
+  double sigma_tails = 0.1;
 
   template <class Visitor>
   void visit(Visitor& v) {
@@ -117,6 +119,11 @@ struct Training {
     v("max_examples", max_examples, range(0, 1e9), "Train on the first n examples only (learning curves); 0: all.");
     v("half_precision", half_precision, "Store the weights as 16-bit numbers.");
     v("calibrate", calibrate, "Scale sigma, per number of segments, to the errors on the validation split.");
+    v("sigma_passes", sigma_passes, range(0, 1e6),
+      "`weft calibrate`: how often each example is drawn when the decoder's sigma layer is fitted anew; 0: it stays.");
+    v("sigma_tails", sigma_tails, range(0, 0.33),
+      "Share of the fourth moment of the errors in that fit: sigma is wider where they have heavy tails; 0: the plain "
+      "likelihood.");
   }
 };
 

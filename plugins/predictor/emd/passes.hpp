@@ -45,6 +45,7 @@ class Graph {
   struct Output {
     Tensor mean;       ///< [wanted, coordinates]
     Tensor log_sigma;  ///< raw: before the upper limit and the floor
+    Tensor hidden;     ///< [wanted, decoder_hidden]: g, what both layers see
   };
   /// @param running rows of each segment.
   /// @param columns coordinates to decode; undefined: all.
@@ -100,6 +101,7 @@ class Graph {
     const Tensor code = at::index_select(at::cat(boundaries), 0, at::tensor(places));
     const Tensor g = f(at::addmm(w(layout_.decoder_bias), code, w(layout_.decoder_in)));
     Output out;
+    out.hidden = g;
     out.log_sigma = at::addmm(some(w(layout_.sigma_bias)), g, some(w(layout_.sigma)));
     Tensor latent = code.narrow(1, 0, arch_.latent);
     if (arch_.differential_decoding) {
@@ -149,6 +151,7 @@ class Passes {
     at::set_num_threads(1);  // parts of a batch run side by side instead
   }
   const Dataset& dataset() const { return dataset_; }
+  bool cancelled() const { return host_.cancelled(); }
   const Example& example(std::size_t i) const { return dataset_.examples[i]; }
 
   void raw_inputs(const Example& e, Index j, const MaterialKnowledge& knowledge, double* to) const {

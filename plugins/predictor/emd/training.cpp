@@ -538,7 +538,7 @@ class Fit {
     }
     model_.calibration.assign(4, 1.0f);
     model_.calibration_added.clear();
-    if (t_.calibrate) find_calibration(passes_, model_, best_weights_, validation_, job_.options.seed);
+    if (t_.calibrate) find_calibration(passes_, model_, {{validation_, best_weights_}}, job_.options.seed);
     save_best(true);
     auto& r = job_.report;
     r.iterations = iteration_;

@@ -24,10 +24,11 @@ using FitFunction = void (*)(FitJob& job);
 struct CalibrationJob {
   const Dataset& dataset;
   const std::vector<std::size_t>& examples;  ///< positions in the dataset
+  const Training& training;
   std::uint64_t seed;
   Host& host;
-  Model model;                       ///< in; out: with another calibration, and the same in everything else
-  std::vector<CalibrationRow> rows;  ///< out
+  Model model;               ///< in; out: with another calibration and sigma layer, and the same in everything else
+  CalibrationReport report;  ///< out
 };
 /// Exported as "weft_emd_calibrate".
 using CalibrationFunction = void (*)(CalibrationJob& job);
