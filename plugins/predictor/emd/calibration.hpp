@@ -84,11 +84,11 @@ class SigmaTally {
   }
 
  private:
-  static constexpr std::size_t kFactors = 49;
+  static constexpr std::size_t kFactors = 97;
   static constexpr double kLeast = 0.4, kMost = 2.5;
   static constexpr std::array<double, 8> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3, 4.0e-3};  // m
   /// How much of the bounds may be used: over some hundred shapes the mean square scatters more than the share.
-  static constexpr double kSquare = 0.42, kInside = 0.88;
+  static constexpr double kSquare = 0.45, kInside = 0.72;
   static double spacing() { return std::log(kMost / kLeast) / static_cast<double>(kFactors - 1); }
 
   double shapes_ = 0.0;
