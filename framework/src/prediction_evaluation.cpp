@@ -100,11 +100,12 @@ Vector describe_example(const Example& e, const Trajectory& trajectory) {
   return features;
 }
 
+/// @param learn whether the train split may be learned from: not when it is what is predicted.
 std::map<std::string, PredictionFigures> measure_baselines(const Dataset& dataset, const std::vector<std::size_t>& test,
-                                                           const Trajectory& trajectory, Index components) {
+                                                           const Trajectory& trajectory, Index components, bool learn) {
   std::vector<std::size_t> train;
   for (const auto i : dataset.select(Split::train)) {
-    if (dataset.examples[i].released) train.push_back(i);
+    if (learn && dataset.examples[i].released) train.push_back(i);
   }
   std::map<std::string, Tally> tallies;
   const auto settled = [&](std::size_t i) { return dataset.shape(i, dataset.examples[i].segments()); };
@@ -286,7 +287,8 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
     for (const auto i : chosen) {
       if (dataset.examples[i].released) released.push_back(i);
     }
-    result.baselines = measure_baselines(dataset, released, *task.trajectory, params.linear_components);
+    const bool is_train_apart = params.split != kEverySplit && split_named(params.split) != Split::train;
+    result.baselines = measure_baselines(dataset, released, *task.trajectory, params.linear_components, is_train_apart);
   }
   return result;
 }

@@ -269,6 +269,14 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
                    "--set predictor.params.model=" + quoted(model) + " --out " + quoted(folder / "e2"));
   EXPECT_THAT(both.output, HasSubstr("seed " + std::to_string(second.header.seed)));
   EXPECT_EQ(nlohmann::json::parse(bytes_of(folder / "e2/prediction.json")).at("by_step")[0].at("n"), 64);
+  // No lookup finds the very example that it is asked for.
+  const Outcome baselines = weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) +
+                                         " --set evaluation.split=all --set predictor.params.model=" + quoted(model) +
+                                         " --out " + quoted(folder / "e3"));
+  EXPECT_EQ(baselines.code, 0) << baselines.output;
+  const auto found = nlohmann::json::parse(bytes_of(folder / "e3/prediction.json")).at("baselines");
+  EXPECT_TRUE(found.contains("persistence"));
+  EXPECT_FALSE(found.contains("nearest_example"));
 
   // Bad input is one line, and nothing is written.
   const auto refused = [&](const std::string& arguments) {

@@ -24,7 +24,8 @@ struct PredictionEvaluationParams {
     v("batch", batch, range(1, 4096), "Cases per call of the predictor.");
     v("random_starts", random_starts, range(1, 200),
       "Segments of an example that predictions from within it begin with: as many as it has, not its first.");
-    v("baselines", baselines, "Also measure the baselines, which learn from the train split.");
+    v("baselines", baselines,
+      "Also measure the baselines; those that learn from the train split only where it is not what is predicted.");
     v("linear_components", linear_components, range(1, 512), "PCA components of the linear baseline.");
   }
 };

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <numeric>
 
@@ -125,12 +126,14 @@ namespace {
 
 constexpr std::size_t kFolds = 3;
 
-/// Fits the sigma layer anew, if that makes examples likelier that it was not fitted to.
-/// @return for each fold its examples and weights that these examples had no part in.
+/// All examples in parts, and for each part weights that its examples had no share in.
 struct Folds {
   std::vector<std::vector<std::size_t>> examples;
   std::vector<std::vector<float>> weights;
 };
+
+/// Fits the model's sigma layer anew, to all but each fold in turn and to all of the examples; the model keeps the last
+/// one when examples of the folds are likelier by the others than they were.
 Folds refit_sigma_layer(Passes& passes, CalibrationJob& job) {
   Folds folds;
   const auto& t = job.training;
@@ -178,7 +181,7 @@ Folds refit_sigma_layer(Passes& passes, CalibrationJob& job) {
   }
   told["fitted"] = is_better;
   job.report.json = nlohmann::ordered_json{{"sigma_layer", told}}.dump();
-  if (!is_better) folds = {{job.examples}, {job.model.weights}};
+  if (!is_better) folds = {{job.examples}, {job.model.weights}};  // which none of them had a share in
   return folds;
 }
 
