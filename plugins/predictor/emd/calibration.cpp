@@ -72,7 +72,7 @@ std::vector<CalibrationRow> find_calibration(Passes& passes, Model& model, const
       }
       // Few sequences are long: a number of segments with few shapes borrows from the other datasets, though no more
       // than it has itself, then from its neighbours, from theirs, and from farther off.
-      const double enough = std::clamp(0.5 * static_cast<double>(predictions), 100.0, 400.0);
+      const double enough = std::clamp(0.5 * static_cast<double>(predictions), 100.0, 1000.0);
       const auto around = [&](std::size_t j) {
         SigmaTally sum;
         const auto fill = [&](const std::vector<SigmaTally>& of, std::size_t from, std::size_t to) {

@@ -87,8 +87,9 @@ class SigmaTally {
   static constexpr std::size_t kFactors = 97;
   static constexpr double kLeast = 0.4, kMost = 2.5;
   static constexpr std::array<double, 8> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3, 4.0e-3};  // m
-  /// How much of the bounds may be used: over some hundred shapes the mean square scatters more than the share.
-  static constexpr double kSquare = 0.45, kInside = 0.72;
+  /// How much of the way to the bounds may be used. More is likelier, and fewer fresh samples of some hundred shapes are
+  /// within the bounds.
+  static constexpr double kSquare = 0.55, kInside = 0.6;
   static double spacing() { return std::log(kMost / kLeast) / static_cast<double>(kFactors - 1); }
 
   double shapes_ = 0.0;
