@@ -770,6 +770,17 @@ TEST(EmdCalibration, TailsThatNoFactorMendsAreTakenByALength) {
   }
 }
 
+TEST(EmdCalibration, OneFoldThatEndedUpElsewhereDecidesNothing) {
+  DrawnErrors drawn(1.0, 0.0);
+  const SigmaTally::Choice before = drawn.tally.choose();
+  std::vector<float> elsewhere(drawn.error.begin(), drawn.error.begin() + DrawnErrors::kCoordinates);
+  for (float& e : elsewhere) e *= 20.0f;  // alone it adds 0.8 to the mean squared error over sigma
+  drawn.tally.add(elsewhere.data(), drawn.sigma.data(), DrawnErrors::kCoordinates);
+  const SigmaTally::Choice after = drawn.tally.choose();
+  EXPECT_NEAR(after.factor, before.factor, 0.06);
+  EXPECT_EQ(after.added, before.added);
+}
+
 // Fitted to few examples sigma is too small for others; the factors from the validation split mend that on the test
 // split.
 TEST(EmdTraining, CalibrationBringsSigmaToTheErrorsOfUnseenExamples) {

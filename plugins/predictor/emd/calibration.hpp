@@ -3,6 +3,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "model.hpp"
@@ -24,6 +25,7 @@ class SigmaTally {
   /// Counts a shape. @param error, sigma [n], units of kLength.
   void add(const float* error, const float* sigma, Index n) {
     shapes_ += 1.0;
+    auto& shape = squares_.emplace_back(Squares{1.0, {}});
     for (std::size_t a = 0; a < kAdded.size(); ++a) {
       const auto added = static_cast<float>(kAdded[a]) / kLength;
       double square = 0.0, log_sigma = 0.0;
@@ -35,9 +37,7 @@ class SigmaTally {
         const double at = (0.5 * static_cast<double>(std::log(ratio + 1e-12f)) - std::log(kLeast)) / spacing();
         if (at < kFactors - 1) ++inside[static_cast<std::size_t>(std::max(0.0, std::floor(at) + 1.0))];
       }
-      square /= static_cast<double>(n);
-      square_[a] += square;
-      fourth_[a] += square * square;
+      shape.square[a] = square / static_cast<double>(n);
       log_sigma_[a] += log_sigma / static_cast<double>(n);
       double sum = 0.0;
       for (std::size_t f = 0; f < kFactors; ++f) inside_[a][f] += (sum += inside[f]) / static_cast<double>(n);
@@ -46,9 +46,9 @@ class SigmaTally {
   /// @param weight of each of its shapes.
   void add(const SigmaTally& t, double weight = 1.0) {
     shapes_ += weight * t.shapes_;
+    squares_.reserve(squares_.size() + t.squares_.size());
+    for (const Squares& s : t.squares_) squares_.push_back({weight * s.weight, s.square});
     for (std::size_t a = 0; a < kAdded.size(); ++a) {
-      square_[a] += weight * t.square_[a];
-      fourth_[a] += weight * t.fourth_[a];
       log_sigma_[a] += weight * t.log_sigma_[a];
       for (std::size_t f = 0; f < kFactors; ++f) inside_[a][f] += weight * t.inside_[a][f];
     }
@@ -65,9 +65,8 @@ class SigmaTally {
     Choice best;
     double least = std::numeric_limits<double>::infinity();
     for (std::size_t a = 0; a < kAdded.size(); ++a) {
-      const double mean = square_[a] / shapes_, variance = std::max(0.0, fourth_[a] / shapes_ - mean * mean);
-      // Most samples of a distribution with such tails have less than their share of them: one standard error.
-      const double expected = mean + std::sqrt(variance / shapes_);
+      const auto [mean, error] = mean_square(a);
+      const double expected = mean + error;  // most samples of a distribution with such tails have too few of them
       for (std::size_t f = 0; f < kFactors; ++f) {
         const double factor = std::exp(std::log(kLeast) + static_cast<double>(f) * spacing());
         const double off = std::max(std::abs(std::log(expected / (factor * factor))) / (kSquare * std::log(1.25)),
@@ -87,14 +86,42 @@ class SigmaTally {
   static constexpr std::size_t kFactors = 97;
   static constexpr double kLeast = 0.4, kMost = 2.5;
   static constexpr std::array<double, 8> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3, 4.0e-3};  // m
-  /// How much of the way to the bounds may be used. More is likelier, and fewer fresh samples of some hundred shapes are
-  /// within the bounds.
-  static constexpr double kSquare = 0.55, kInside = 0.6;
+  /// How much of the way to the bounds may be used. More is likelier, and fewer fresh samples of some hundred shapes
+  /// are within the bounds.
+  static constexpr double kSquare = 0.5, kInside = 0.65;
+  /// One fold in some thousand ends up elsewhere altogether, with a square of hundreds: it counts as this many medians,
+  /// or sigma of all others would be what this one needs.
+  static constexpr double kMedians = 20.0;
   static double spacing() { return std::log(kMost / kLeast) / static_cast<double>(kFactors - 1); }
 
+  struct Squares {
+    double weight;
+    std::array<double, kAdded.size()> square;  ///< mean squared error over sigma^2 + added^2
+  };
+  /// Mean over shapes of the a-th squares, and its standard error.
+  std::pair<double, double> mean_square(std::size_t a) const {
+    std::vector<std::pair<double, double>> sorted;  // square, weight
+    sorted.reserve(squares_.size());
+    for (const Squares& s : squares_) sorted.emplace_back(s.square[a], s.weight);
+    std::sort(sorted.begin(), sorted.end());
+    double below = 0.0, most = 0.0, sum = 0.0, sum_of_squares = 0.0;
+    for (const auto& [square, weight] : sorted) {
+      if (below < 0.5 * shapes_) most = kMedians * square;
+      below += weight;
+    }
+    for (const auto& [square, weight] : sorted) {
+      const double counted = std::min(square, most);
+      sum += weight * counted;
+      sum_of_squares += weight * counted * counted;
+    }
+    const double mean = sum / shapes_, variance = std::max(0.0, sum_of_squares / shapes_ - mean * mean);
+    return {mean, std::sqrt(variance / shapes_)};
+  }
+
   double shapes_ = 0.0;
-  /// Sums over shapes of the mean squared error over sigma^2 + added^2, of its square, and of the mean logarithm.
-  std::array<double, kAdded.size()> square_{}, fourth_{}, log_sigma_{};
+  std::vector<Squares> squares_;
+  /// Sum over shapes of the mean logarithm of sqrt(sigma^2 + added^2).
+  std::array<double, kAdded.size()> log_sigma_{};
   /// Share of the coordinates with |error| < factor sqrt(sigma^2 + added^2).
   std::array<std::array<double, kFactors>, kAdded.size()> inside_{};
 };
