@@ -24,33 +24,24 @@ void say_calibration(const Context& context, const PredictionEvaluation& result)
     head += text;
   }
   context.say(head);
-  const auto row = [&](const char* name, const char* what, const std::vector<PredictionFigures>& figures,
-                       const auto& cell) {
+  const auto row = [&](const char* name, const char* what, const std::vector<PredictionFigures>& figures, int decimals,
+                       const auto& value_of) {
     std::snprintf(text, sizeof(text), "%-20s %-9s", name, what);
     std::string line = text;
     for (const std::size_t segments : columns) {
-      const bool is_there = segments <= figures.size() && figures[segments - 1].n > 0;
-      line += is_there ? cell(figures[segments - 1]) : "      -";
+      std::snprintf(text, sizeof(text), "      -");
+      if (segments <= figures.size() && figures[segments - 1].n > 0)
+        std::snprintf(text, sizeof(text), " %6.*f", decimals, value_of(figures[segments - 1]));
+      line += text;
     }
     context.say(line);
   };
-  const auto rows = [&](const char* name, const std::vector<PredictionFigures>& figures) {
-    row(name, "n", figures, [&](const PredictionFigures& f) {
-      std::snprintf(text, sizeof(text), " %6td", f.n);
-      return std::string(text);
-    });
-    row("", "coverage", figures, [&](const PredictionFigures& f) {
-      std::snprintf(text, sizeof(text), " %6.3f", f.coverage_1sigma);
-      return std::string(text);
-    });
-    row("", "nse", figures, [&](const PredictionFigures& f) {
-      std::snprintf(text, sizeof(text), " %6.2f", f.nse);
-      return std::string(text);
-    });
-    row("", "  +-", figures, [&](const PredictionFigures& f) {
-      std::snprintf(text, sizeof(text), " %6.2f", f.nse_se);
-      return std::string(text);
-    });
+  using Figures = PredictionFigures;
+  const auto rows = [&](const char* name, const std::vector<Figures>& figures) {
+    row(name, "n", figures, 0, [](const Figures& f) { return static_cast<double>(f.n); });
+    row("", "coverage", figures, 3, [](const Figures& f) { return f.coverage_1sigma; });
+    row("", "nse", figures, 2, [](const Figures& f) { return f.nse; });
+    row("", "  +-", figures, 2, [](const Figures& f) { return f.nse_se; });
   };
   rows("from start", result.by_step);
   rows("from random segment", result.by_step_from_random);
