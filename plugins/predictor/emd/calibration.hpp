@@ -46,7 +46,6 @@ class SigmaTally {
   /// @param weight of each of its shapes.
   void add(const SigmaTally& t, double weight = 1.0) {
     shapes_ += weight * t.shapes_;
-    squares_.reserve(squares_.size() + t.squares_.size());
     for (const Squares& s : t.squares_) squares_.push_back({weight * s.weight, s.square});
     for (std::size_t a = 0; a < kAdded.size(); ++a) {
       log_sigma_[a] += weight * t.log_sigma_[a];

@@ -2,6 +2,7 @@
 #include "sigma_layer.hpp"
 
 #include <cmath>
+#include <numbers>
 
 #include "passes.hpp"
 #include "weft/random.hpp"
@@ -72,7 +73,8 @@ std::vector<float> fit_sigma_layer(const Passes& passes, const Model& model, con
     // Adam, its rate falling to 0 as half a cosine wave. Coordinates do not meet in this layer, so that their number
     // does not enter the gradient.
     const double n = static_cast<double>(k) + 1.0;
-    const double rate = 0.5 * kRate * (1.0 + std::cos(M_PI * static_cast<double>(k) / static_cast<double>(iterations)));
+    const double rate =
+        0.5 * kRate * (1.0 + std::cos(std::numbers::pi * static_cast<double>(k) / static_cast<double>(iterations)));
     for (int w = 0; w < 2; ++w) {
       first[w].mul_(kBeta1).add_(gradients[w], 1.0 - kBeta1);
       second[w].mul_(kBeta2).addcmul_(gradients[w], gradients[w], 1.0 - kBeta2);
