@@ -1,11 +1,9 @@
 #pragma once
-#include <algorithm>
 #include <memory>
 #include <string>
 
 #include "context.hpp"
 #include "output.hpp"
-#include "weft/experiment.hpp"
 #include "weft/params.hpp"
 #include "weft/session.hpp"
 #include "weft/trainable.hpp"
@@ -63,24 +61,12 @@ inline Dataset read_datasets(const Context& context, const std::vector<std::stri
   return dataset;
 }
 
-/// Warns when examples of a split are not to this predictor what the split's name says; of kEverySplit, when it was
-/// trained or calibrated on examples of the same seed.
+/// Warns when examples of a split, or of `all`, are not to this predictor what the split's name says.
 inline void warn_unless_held_out(Predictor& predictor, const Dataset& dataset, const std::string& split, Host& host) {
   const TrainablePredictor* learner = predictor.trainable();
   if (learner == nullptr) return;
-  if (split == kEverySplit) {
-    auto seen = learner->trained_on();
-    for (auto& origin : learner->calibrated_on()) seen.push_back(std::move(origin));
-    for (const auto& one : dataset.origins()) {
-      if (std::none_of(seen.begin(), seen.end(), [&](const auto& origin) { return origin.seed == one.seed; })) continue;
-      host.log(LogLevel::warning, "the model was trained or calibrated on examples of seed " +
-                                      std::to_string(one.seed) + ", as those of dataset " + one.identity +
-                                      " are: not all of these are held out");
-    }
-    return;
-  }
   const std::string warning =
-      dataset.held_out_warning(split_named(split), learner->trained_on(), learner->calibrated_on());
+      dataset.held_out_warning(split_or_all(split), learner->trained_on(), learner->calibrated_on());
   if (!warning.empty()) host.log(LogLevel::warning, warning);
 }
 

@@ -110,6 +110,11 @@ Split split_named(const std::string& name) {
   return static_cast<Split>(found - kSplitNames.begin());
 }
 
+std::optional<Split> split_or_all(const std::string& name) {
+  if (name == "all") return {};
+  return split_named(name);
+}
+
 Split DatasetOrigin::split(std::int64_t index) const {
   const double u = RandomStream(kSplitKey, static_cast<std::uint64_t>(index)).uniform();
   if (u < test_fraction) return Split::test;
@@ -350,10 +355,10 @@ std::size_t Dataset::source(std::size_t example) const {
   return static_cast<std::size_t>(std::upper_bound(begins.begin(), begins.end(), example) - begins.begin()) - 1;
 }
 
-std::vector<std::size_t> Dataset::select(Split split) const {
+std::vector<std::size_t> Dataset::select(std::optional<Split> split) const {
   std::vector<std::size_t> chosen;
   for (std::size_t i = 0; i < examples.size(); ++i) {
-    if (!examples[i].failed() && header.split(examples[i].index) == split) chosen.push_back(i);
+    if (!examples[i].failed() && (!split || header.split(examples[i].index) == *split)) chosen.push_back(i);
   }
   return chosen;
 }
@@ -367,17 +372,18 @@ std::vector<std::size_t> Dataset::unseen(const std::vector<DatasetOrigin>& train
   return chosen;
 }
 
-std::string Dataset::held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on,
+std::string Dataset::held_out_warning(std::optional<Split> split, const std::vector<DatasetOrigin>& trained_on,
                                       const std::vector<DatasetOrigin>& calibrated_on) const {
   const auto chosen = select(split);
   const auto all = origins();
-  const std::string name = kSplitNames[static_cast<std::size_t>(split)];
+  const std::string name = split ? kSplitNames[static_cast<std::size_t>(*split)] : "";
   const auto count_of = [&](const auto& is_counted) {
     return std::count_if(chosen.begin(), chosen.end(),
                          [&](std::size_t i) { return is_counted(all[source(i)].seed, examples[i].index); });
   };
   const auto some = [&](std::ptrdiff_t count) {
-    return std::to_string(count) + " of the " + std::to_string(chosen.size()) + " examples of the " + name + " split ";
+    return std::to_string(count) + " of the " + std::to_string(chosen.size()) + " examples " +
+           (split ? "of the " + name + " split " : "");
   };
   std::string text;
   if (split == Split::train) {
@@ -392,14 +398,14 @@ std::string Dataset::held_out_warning(Split split, const std::vector<DatasetOrig
     // Equal numbers of one seed are, whatever else the configs say, much the same example.
     const auto count = count_of([&](std::uint64_t seed, std::int64_t index) {
       return std::any_of(trained_on.begin(), trained_on.end(), [&](const auto& origin) {
-        return origin.seed == seed && origin.split(index) < split;  // train < validation < test
+        return origin.seed == seed && origin.split(index) < split.value_or(Split::test);  // train < validation < test
       });
     });
     if (count > 0) {
       text = some(count) + "may not be held out: they were in the " +
-             (split == Split::test ? "train or validation" : "train") +
-             " split of a dataset of the same seed that the model was trained on, whose data.validation_fraction or "
-             "data.test_fraction differ";
+             (split == Split::validation ? "train" : "train or validation") +
+             " split of a dataset of the same seed that the model was trained on" +
+             (split ? ", whose data.validation_fraction or data.test_fraction differ" : "");
     }
   }
   const auto count = count_of([&](std::uint64_t seed, std::int64_t index) {

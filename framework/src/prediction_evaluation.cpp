@@ -206,14 +206,8 @@ std::vector<Start> random_starts(const Dataset& dataset, const std::vector<std::
 
 PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
                                          const PredictionEvaluationParams& params, std::uint64_t seed, Host& host) {
-  std::vector<std::size_t> chosen;
-  if (params.split == kEverySplit) {
-    for (std::size_t i = 0; i < dataset.examples.size(); ++i) {
-      if (!dataset.examples[i].failed()) chosen.push_back(i);
-    }
-  } else {
-    chosen = dataset.select(split_named(params.split));
-  }
+  const auto split = split_or_all(params.split);
+  std::vector<std::size_t> chosen = dataset.select(split);
   if (params.max_examples > 0 && static_cast<std::size_t>(params.max_examples) < chosen.size())
     chosen.resize(static_cast<std::size_t>(params.max_examples));
   if (chosen.empty()) throw ConfigError("the dataset has no example in split " + params.split + "; make more examples");
@@ -287,7 +281,7 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
     for (const auto i : chosen) {
       if (dataset.examples[i].released) released.push_back(i);
     }
-    const bool is_train_apart = params.split != kEverySplit && split_named(params.split) != Split::train;
+    const bool is_train_apart = split && *split != Split::train;
     result.baselines = measure_baselines(dataset, released, *task.trajectory, params.linear_components, is_train_apart);
   }
   return result;

@@ -408,6 +408,14 @@ TEST(Dataset, SaysWhenSigmaWasCalibratedOnASplit) {
   const std::string untrained = both.held_out_warning(Split::train, {own}, {});
   EXPECT_NE(untrained.find("was not trained on dataset " + other.identity), std::string::npos);
   EXPECT_EQ(untrained.find("was not trained on dataset " + own.identity), std::string::npos);
+
+  // All examples are to be held out as test examples are.
+  const std::size_t known = data.select(Split::train).size() + data.select(Split::validation).size();
+  ASSERT_EQ(both.select({}).size(), both.examples.size());
+  EXPECT_NE(both.held_out_warning({}, {own}).find(std::to_string(known) + " of the " +
+                                                  std::to_string(both.examples.size()) + " examples may not be held"),
+            std::string::npos);
+  EXPECT_EQ(data.held_out_warning({}, {other}), "");
 }
 
 TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {

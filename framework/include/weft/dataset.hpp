@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -59,6 +60,8 @@ enum class Split { train, validation, test };  // in order of use: < is meaningf
 inline constexpr std::array<const char*, 3> kSplitNames = {"train", "validation", "test"};
 /// @throws ConfigError for what is no split's name.
 WEFT_API Split split_named(const std::string& name);
+/// The same; `all`: none, for every split. @throws ConfigError for what is neither.
+WEFT_API std::optional<Split> split_or_all(const std::string& name);
 
 /// What tells whether two datasets can share examples: example i is made of (seed, i), its split goes by i and the
 /// fractions.
@@ -107,8 +110,8 @@ struct Dataset {
   /// split. @throws ConfigError when garment, trajectory, hands or the shares of the splits differ, or for the same
   /// dataset twice.
   WEFT_API void append(Dataset other);
-  /// Positions in `examples` of the good ones of a split.
-  WEFT_API std::vector<std::size_t> select(Split split) const;
+  /// Positions in `examples` of the good ones of a split; of all, when there is none.
+  WEFT_API std::vector<std::size_t> select(std::optional<Split> split) const;
   /// Positions in `examples` of the good ones that the fit of a model, which was trained on these datasets, has not
   /// seen, and that no test is to be made with: of a dataset that it knows the validation split, of others the train
   /// and the validation split. Equal numbers of one seed count as the same example, see held_out_warning(). When
@@ -117,8 +120,9 @@ struct Dataset {
   WEFT_API std::vector<std::size_t> unseen(const std::vector<DatasetOrigin>& trained_on) const;
   /// Why the examples of a split may not be what its name says, to a model that was trained on these datasets: some
   /// were in an earlier split then, or, for the split train, none was; or its sigma was calibrated on some of them
-  /// afterwards. Empty: no reason is known, as when `trained_on` is.
-  WEFT_API std::string held_out_warning(Split split, const std::vector<DatasetOrigin>& trained_on,
+  /// afterwards. No split: all examples, as if they were test examples. Empty: no reason is known, as when `trained_on`
+  /// is.
+  WEFT_API std::string held_out_warning(std::optional<Split> split, const std::vector<DatasetOrigin>& trained_on,
                                         const std::vector<DatasetOrigin>& calibrated_on = {}) const;
   WEFT_API Positions shape(std::size_t example, Index segment) const;  ///< [V, 3] m
   /// @throws ConfigError with the reason when the examples were not made for this task's garment, trajectory or

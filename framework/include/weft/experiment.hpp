@@ -4,9 +4,6 @@
 
 namespace weft {
 
-/// PredictionEvaluationParams::split for all examples of a dataset.
-inline constexpr const char* kEverySplit = "all";
-
 /// What `weft evaluate prediction` measures.
 struct PredictionEvaluationParams {
   std::string split = "test";
@@ -18,7 +15,7 @@ struct PredictionEvaluationParams {
 
   template <class Visitor>
   void visit(Visitor& v) {
-    v("split", split, choice({"train", "validation", "test", kEverySplit}),
+    v("split", split, choice({"train", "validation", "test", "all"}),
       "Examples to predict; `all` is for datasets that the model was neither trained nor calibrated on.");
     v("max_examples", max_examples, range(0, 1e9), "Use that many of them; 0: all.");
     v("batch", batch, range(1, 4096), "Cases per call of the predictor.");
