@@ -1,3 +1,4 @@
+#include <cmath>
 #include <cstdio>
 #include <iostream>
 
@@ -30,8 +31,10 @@ void say_calibration(const Context& context, const PredictionEvaluation& result)
     std::string line = text;
     for (const std::size_t segments : columns) {
       std::snprintf(text, sizeof(text), "      -");
-      if (segments <= figures.size() && figures[segments - 1].n > 0)
-        std::snprintf(text, sizeof(text), " %6.*f", decimals, value_of(figures[segments - 1]));
+      if (segments <= figures.size() && figures[segments - 1].n > 0) {
+        const double value = value_of(figures[segments - 1]);
+        if (std::isfinite(value)) std::snprintf(text, sizeof(text), " %6.*f", decimals, value);
+      }
       line += text;
     }
     context.say(line);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <numbers>
@@ -49,7 +50,7 @@ struct Tally {
     errors.push_back(mean_distance_mm(predicted, truth));
     examples.push_back(example);
   }
-  /// Mean and its standard error, when the cases of an example are one observation.
+  /// Mean and its standard error, when the cases of an example are one observation; NaN of one.
   std::pair<double, double> mean(const std::vector<double>& values) const {
     if (values.empty()) return {};
     const auto n = static_cast<double>(values.size());
@@ -58,7 +59,7 @@ struct Tally {
     for (std::size_t k = 0; k < values.size(); ++k) deviations[examples[k]] += values[k] - mean;
     double squares = 0.0;
     for (const auto& [example, deviation] : deviations) squares += deviation * deviation;
-    return {mean, std::sqrt(squares) / n};
+    return {mean, deviations.size() > 1 ? std::sqrt(squares) / n : std::numeric_limits<double>::quiet_NaN()};
   }
   PredictionFigures figures() const {
     PredictionFigures f;

@@ -137,6 +137,7 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   EXPECT_EQ(first.at("n"), 4 * first.at("examples").get<int>());
   EXPECT_GT(within.at("nse_se").get<double>(), 0.0);
   EXPECT_GT(within.at("coverage_1sigma_se").get<double>(), 0.0);
+  for (const auto& one : figures.at("by_step")) EXPECT_EQ(one.at("nse_se").is_null(), one.at("examples") == 1);
   const auto figures_of_starts = [&](int starts, const char* name) {
     const Outcome outcome =
         weft_command("evaluate prediction '" + kConfig + "' --data " + quoted(whole) +

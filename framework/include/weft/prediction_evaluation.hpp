@@ -17,7 +17,8 @@ struct PredictionFigures {
   double coverage_1sigma = 0.0;           ///< share of the coordinates within one sigma (normal: 0.683)
   double nse = 0.0;                       ///< mean of (error / sigma)^2 (calibrated: 1)
   double sigma_mm = 0.0;                  ///< mean sigma
-  /// Standard errors of the means above, for which the cases of one example count as one observation.
+  /// Standard errors of the means above, for which the cases of one example count as one observation; NaN where there
+  /// is but one.
   double mean_mm_se = 0.0, coverage_1sigma_se = 0.0, nse_se = 0.0;
 };
 
