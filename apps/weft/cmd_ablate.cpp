@@ -4,12 +4,13 @@
 #include <sstream>
 
 #include "context.hpp"
+#include "experiments/physics/physics.hpp"
+#include "experiments/sweep.hpp"
 #include "output.hpp"
 #include "page.hpp"
-#include "weft/ablation.hpp"
-#include "weft/physics.hpp"
-#include "weft/refusal.hpp"
-#include "weft/session.hpp"
+#include "session/session.hpp"
+#include "simulation/task_config.hpp"
+#include "weft/config.hpp"
 
 namespace weft::app {
 namespace {

@@ -5,10 +5,11 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "experiments/experiment_config.hpp"
+#include "learning/held_out.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
-#include "weft/experiment.hpp"
-#include "weft/refusal.hpp"
+#include "weft/config.hpp"
 #include "weft/trainable.hpp"
 
 namespace weft::app {
@@ -88,7 +89,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
     given.host->log(LogLevel::warning,
                     "the model does not say what it was trained on: of every dataset the validation split is taken");
   }
-  const std::vector<std::size_t> examples = dataset.unseen(trained_on);
+  const std::vector<std::size_t> examples = unseen_examples(dataset, trained_on);
   const auto origins = dataset.origins();
   std::vector<std::size_t> counts(origins.size(), 0), all(origins.size(), 0);
   for (const std::size_t i : examples) ++counts[dataset.source(i)];

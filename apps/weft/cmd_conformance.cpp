@@ -3,8 +3,8 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
+#include "conformance/conformance.hpp"
 #include "context.hpp"
-#include "weft/conformance.hpp"
 
 namespace weft::app {
 namespace {

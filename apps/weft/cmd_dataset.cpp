@@ -5,6 +5,8 @@
 #include <set>
 
 #include "context.hpp"
+#include "learning/dataset_files.hpp"
+#include "learning/generate.hpp"
 #include "options.hpp"
 #include "weft/dataset.hpp"
 

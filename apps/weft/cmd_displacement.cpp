@@ -3,8 +3,9 @@
 #include <nlohmann/json.hpp>
 
 #include "prepared.hpp"
-#include "weft/displacement.hpp"
-#include "weft/session.hpp"
+#include "session/session.hpp"
+#include "simulation/displacement.hpp"
+#include "simulation/task_config.hpp"
 
 namespace weft::app {
 namespace {

@@ -6,11 +6,12 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "experiments/physics/physics.hpp"
 #include "output.hpp"
 #include "page.hpp"
 #include "prepared.hpp"
-#include "weft/physics.hpp"
-#include "weft/session.hpp"
+#include "session/session.hpp"
+#include "simulation/task_config.hpp"
 
 namespace weft::app {
 namespace {

@@ -3,11 +3,11 @@
 #include <iostream>
 
 #include "context.hpp"
+#include "experiments/prediction_evaluation.hpp"
 #include "output.hpp"
 #include "page.hpp"
 #include "prepared.hpp"
-#include "weft/prediction_evaluation.hpp"
-#include "weft/refusal.hpp"
+#include "weft/config.hpp"
 
 namespace weft::app {
 namespace {

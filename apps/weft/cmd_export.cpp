@@ -4,7 +4,7 @@
 #include "exports.hpp"
 #include "options.hpp"
 #include "output.hpp"
-#include "weft/report.hpp"
+#include "report/page.hpp"
 
 namespace weft::app {
 namespace {

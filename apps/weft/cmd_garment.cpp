@@ -4,8 +4,8 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "meshes/mesher.hpp"
 #include "options.hpp"
-#include "weft/garment_generator.hpp"
 
 namespace weft::app {
 namespace {

@@ -3,10 +3,13 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "experiments/experiment_config.hpp"
+#include "learning/dataset_files.hpp"
+#include "learning/generate.hpp"
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
-#include "weft/experiment.hpp"
+#include "simulation/task_config.hpp"
 
 namespace weft::app {
 namespace {

@@ -6,7 +6,8 @@
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
-#include "weft/session.hpp"
+#include "session/session.hpp"
+#include "simulation/task_config.hpp"
 
 // `weft plan` and `weft estimate`: one half of a session alone.
 

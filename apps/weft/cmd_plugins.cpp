@@ -4,10 +4,10 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
+#include "experiments/experiment_config.hpp"
+#include "experiments/physics/physics.hpp"
 #include "options.hpp"
-#include "weft/experiment.hpp"
-#include "weft/physics.hpp"
-#include "weft/refusal.hpp"
+#include "weft/config.hpp"
 
 namespace weft::app {
 namespace {

@@ -6,7 +6,7 @@
 #include "output.hpp"
 #include "page.hpp"
 #include "prepared.hpp"
-#include "weft/session.hpp"
+#include "session/session.hpp"
 
 namespace weft::app {
 namespace {

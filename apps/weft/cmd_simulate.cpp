@@ -3,7 +3,7 @@
 
 #include "context.hpp"
 #include "output.hpp"
-#include "weft/scene_run.hpp"
+#include "simulation/scene.hpp"
 
 namespace weft::app {
 namespace {

@@ -2,9 +2,9 @@
 #include <iostream>
 
 #include "context.hpp"
+#include "experiments/experiment_config.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
-#include "weft/experiment.hpp"
 #include "weft/trainable.hpp"
 
 namespace weft::app {

@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <iostream>
 
+#include "loader/program_host.hpp"
 #include "options.hpp"
 
 namespace weft::app {

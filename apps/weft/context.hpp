@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "weft/registry.hpp"
+#include "loader/registry.hpp"
 
 namespace weft::app {
 

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 
+#include "learning/dataset_files.hpp"
 #include "options.hpp"
-#include "weft/refusal.hpp"
+#include "simulation/task_config.hpp"
+#include "weft/config.hpp"
 
 namespace weft::app {
 
@@ -50,7 +52,7 @@ std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, cons
     if (folder.empty())
       throw ConfigError("cases of a split need a dataset: --data FOLDER (or `dataset:` in the config)");
     context_.say("reading " + folder.string());
-    dataset = std::make_shared<const Dataset>(Dataset::load(folder));
+    dataset = std::make_shared<const Dataset>(load_dataset(folder));
     dataset->require_task(given.task);
   }
   std::vector<EvaluationColumn> columns;

@@ -3,8 +3,8 @@
 #include <vector>
 
 #include "context.hpp"
+#include "experiments/estimation_evaluation.hpp"
 #include "prepared.hpp"
-#include "weft/session_evaluation.hpp"
 
 namespace weft::app {
 

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "context.hpp"
-#include "weft/session_file.hpp"
+#include "session/session_file.hpp"
 
 /// Recorded sessions in the formats of other programs. docs/report.md says what each holds.
 namespace weft::app {

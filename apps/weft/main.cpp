@@ -3,7 +3,7 @@
 
 #include "context.hpp"
 #include "exports.hpp"
-#include "weft/refusal.hpp"
+#include "weft/config.hpp"
 #include "weft_commit.hpp"
 
 namespace {

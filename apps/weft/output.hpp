@@ -3,7 +3,7 @@
 #include <string>
 
 #include "context.hpp"
-#include "weft/task.hpp"
+#include "simulation/task_config.hpp"
 
 namespace weft::app {
 

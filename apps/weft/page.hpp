@@ -2,7 +2,7 @@
 #include <filesystem>
 
 #include "context.hpp"
-#include "weft/report.hpp"
+#include "report/page.hpp"
 
 namespace weft::app {
 

@@ -3,9 +3,11 @@
 #include <string>
 
 #include "context.hpp"
+#include "learning/dataset_files.hpp"
+#include "learning/held_out.hpp"
 #include "output.hpp"
+#include "session/session.hpp"
 #include "weft/params.hpp"
-#include "weft/session.hpp"
 #include "weft/trainable.hpp"
 
 namespace weft::app {
@@ -51,12 +53,12 @@ inline Dataset read_datasets(const Context& context, const std::vector<std::stri
   Dataset dataset;
   for (std::size_t i = 0; i < folders.size(); ++i) {
     context.say("reading " + folders[i]);
-    Dataset one = Dataset::load(folders[i]);
+    Dataset one = load_dataset(folders[i]);
     one.require_task(task);
     if (i == 0)
       dataset = std::move(one);
     else
-      dataset.append(std::move(one));
+      append_dataset(dataset, std::move(one));
   }
   return dataset;
 }
@@ -66,7 +68,7 @@ inline void warn_unless_held_out(Predictor& predictor, const Dataset& dataset, c
   const TrainablePredictor* learner = predictor.trainable();
   if (learner == nullptr) return;
   const std::string warning =
-      dataset.held_out_warning(split_or_all(split), learner->trained_on(), learner->calibrated_on());
+      held_out_warning(dataset, split_or_all(split), learner->trained_on(), learner->calibrated_on());
   if (!warning.empty()) host.log(LogLevel::warning, warning);
 }
 

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "learning/dataset_files.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 #include "weft/dataset.hpp"
@@ -141,7 +142,7 @@ TEST(EvaluatePlanning, GoalsOfASplitAreWhatItsExamplesBecame) {
     EXPECT_GT((*column)["by_width"][0]["mean_mm"].get<double>(), 0.0);
   }
   // The example's controls and its material together make its goal: it is the example's last shape.
-  const Dataset data = Dataset::load(folder / "data");
+  const Dataset data = load_dataset(folder / "data");
   const auto goals = Hdf5File::open(folder / "out/cases.h5").read_float("/planning/goals");
   const auto size = static_cast<std::size_t>(data.header.vertices * 3);
   ASSERT_EQ(goals.size(), 2 * size);

@@ -8,11 +8,11 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "session/session_file.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 #include "weft/garment.hpp"
 #include "weft/hdf5_file.hpp"
-#include "weft/session_file.hpp"
 
 namespace weft {
 namespace {

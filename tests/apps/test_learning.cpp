@@ -6,6 +6,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "learning/dataset_files.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 #include "weft/dataset.hpp"
@@ -225,7 +226,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   const auto told = nlohmann::json::parse(bytes_of(folder / "n/new.calibration.json"));
   EXPECT_EQ(told.at("model"), model.string());
   EXPECT_FALSE(told.at("provenance").at("commit").get<std::string>().empty());
-  const Dataset first = Dataset::load(fresh), second = Dataset::load(known);
+  const Dataset first = load_dataset(fresh), second = load_dataset(known);
   ASSERT_EQ(told.at("datasets").size(), 2u);
   EXPECT_EQ(told.at("datasets")[0].at("identity"), first.header.identity);
   EXPECT_EQ(told.at("datasets")[0].at("examples"), 24 - first.select(Split::test).size());

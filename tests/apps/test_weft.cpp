@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
+#include "experiments/sweep.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
-#include "weft/ablation.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {

@@ -1,9 +1,10 @@
 #include <map>
 
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 #include "weft/plugin.hpp"
-#include "weft/registry.hpp"
 #include "weft/trajectory.hpp"
 
 namespace weft {

@@ -6,9 +6,11 @@
 #include <map>
 #include <thread>
 
-#include "weft/garment_generator.hpp"
-#include "weft/registry.hpp"
-#include "weft/task.hpp"
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
+#include "meshes/mesher.hpp"
+#include "simulation/fold.hpp"
+#include "simulation/task_config.hpp"
 
 #ifdef WEFT_BENCH_BULLET
 #include <BulletSoftBody/btDefaultSoftBodySolver.h>

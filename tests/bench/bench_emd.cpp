@@ -6,11 +6,12 @@
 #include <ctime>
 #include <thread>
 
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
+#include "meshes/mesher.hpp"
 #include "predictor/emd/emd.hpp"
 #include "trajectory/arc/arc.cpp"
 #include "weft/batching.hpp"
-#include "weft/garment_generator.hpp"
-#include "weft/registry.hpp"
 
 namespace {
 

@@ -1,10 +1,11 @@
 // `weft generate`: whole manipulation examples of the T-shirt, simulated to the settled shape, on one thread.
 #include <benchmark/benchmark.h>
 
+#include "experiments/experiment_config.hpp"
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
+#include "simulation/task_config.hpp"
 #include "weft/dataset.hpp"
-#include "weft/experiment.hpp"
-#include "weft/registry.hpp"
-#include "weft/task.hpp"
 
 namespace {
 

@@ -5,7 +5,8 @@
 #include <fstream>
 #include <sstream>
 
-#include "weft/conformance.hpp"
+#include "conformance/conformance.hpp"
+#include "loader/program_host.hpp"
 
 namespace weft {
 namespace {

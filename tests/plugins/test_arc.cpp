@@ -3,9 +3,9 @@
 
 #include <cmath>
 
+#include "simulation/random_controls.hpp"
 #include "trajectory/arc/arc.cpp"  // the class is compiled in: what is tested here does not need the loader
 #include "weft/random.hpp"
-#include "weft/random_controls.hpp"
 
 namespace weft::arc {
 namespace {

@@ -3,12 +3,13 @@
 
 #include <thread>
 
+#include "experiments/physics/physics.hpp"
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
+#include "simulation/task_config.hpp"
 #include "simulator/bullet/contact.cpp"
 #include "simulator/bullet/links.cpp"
-#include "weft/physics.hpp"
 #include "weft/random.hpp"
-#include "weft/registry.hpp"
-#include "weft/task.hpp"
 
 namespace weft {
 namespace {

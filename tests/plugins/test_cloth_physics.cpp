@@ -1,9 +1,11 @@
 // The physics suite (configs/experiments/physics.yaml) with its bounds, on the cloth plugin as it is loaded for folds.
 #include <gtest/gtest.h>
 
-#include "weft/physics.hpp"
-#include "weft/registry.hpp"
-#include "weft/scene_run.hpp"
+#include "experiments/physics/physics.hpp"
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
+#include "simulation/scene.hpp"
+#include "simulation/task_config.hpp"
 
 namespace weft {
 namespace {

@@ -12,10 +12,13 @@
 #include <string_view>
 #include <thread>
 
-#include "predictor/emd/calibration.hpp"
+#include "learning/dataset_files.hpp"
+#include "learning/generate.hpp"
+#include "learning/held_out.hpp"
 #include "predictor/emd/emd.hpp"
 #include "predictor/emd/sampling.hpp"
-#include "predictor/emd/training.hpp"
+#include "predictor/emd/training/calibration.hpp"
+#include "predictor/emd/training_library.hpp"
 #include "trajectory/arc/arc.cpp"  // compiled in, as the predictor's objects are
 #include "unit/test_support.hpp"
 #include "weft/hdf5_file.hpp"
@@ -892,7 +895,7 @@ TEST(EmdRecalibration, BringsAWrongSigmaToTheErrorsOfUnseenExamples) {
 
   EmdPredictor predictor(params, host);
   predictor.bind(task);
-  const auto examples = fresh.unseen(predictor.trained_on());
+  const auto examples = unseen_examples(fresh, predictor.trained_on());
   EXPECT_EQ(examples.size(), 300 - fresh.select(Split::test).size());
   const CalibrationReport report =
       predictor.calibrate(fresh, examples, task, {.seed = 5, .model = folder / "right.h5"});
@@ -940,7 +943,7 @@ TEST(EmdRecalibration, WeightsOfFullPrecisionStayWhole) {
   ASSERT_FALSE(fits_half(before));
   const Dataset fresh = toy_dataset(task, 20, 2);
   EmdPredictor predictor(params, host);
-  predictor.calibrate(fresh, fresh.unseen(before.datasets), task, {.seed = 5, .model = folder / "new.h5"});
+  predictor.calibrate(fresh, unseen_examples(fresh, before.datasets), task, {.seed = 5, .model = folder / "new.h5"});
   const Model after = load_model(folder / "new.h5");
   EXPECT_EQ(after.weights, before.weights);
   EXPECT_EQ(after.basis, before.basis);
@@ -964,7 +967,7 @@ TEST(EmdRecalibration, StartsWithinASessionAreNeverItsFirstShape) {
   }
   EmdPredictor predictor(params, host);
   predictor.bind(task);
-  const auto examples = fresh.unseen(predictor.trained_on());
+  const auto examples = unseen_examples(fresh, predictor.trained_on());
   const auto longer =
       std::count_if(examples.begin(), examples.end(), [&](std::size_t i) { return fresh.examples[i].segments() == 2; });
   const auto report = predictor.calibrate(fresh, examples, task, {.seed = 5});
@@ -992,10 +995,10 @@ TEST(EmdRecalibration, TheFirstDatasetDecidesAndOthersFillIn) {
   }
   const auto rows = [&](const Dataset& first, const Dataset* second) {
     Dataset all = first;
-    if (second != nullptr) all.append(*second);
+    if (second != nullptr) append_dataset(all, *second);
     EmdPredictor predictor(params, host);
     predictor.bind(task);
-    return predictor.calibrate(all, all.unseen(predictor.trained_on()), task, {.seed = 5}).rows;
+    return predictor.calibrate(all, unseen_examples(all, predictor.trained_on()), task, {.seed = 5}).rows;
   };
   const auto alone = rows(calm, nullptr), with_wild = rows(calm, &wild), wild_first = rows(wild, &calm);
   for (const std::size_t row : {0u, 1u}) {  // from the start: every example has one
@@ -1065,7 +1068,7 @@ TEST(EmdSigmaLayer, IsFittedAnewAndNoMeanMoves) {
   params.training.sigma_passes = 100;
   EmdPredictor predictor(params, host);
   predictor.bind(task);
-  const auto examples = fresh.unseen(predictor.trained_on());
+  const auto examples = unseen_examples(fresh, predictor.trained_on());
   const CalibrationReport report =
       predictor.calibrate(fresh, examples, task, {.seed = 5, .model = folder / "right.h5"});
   const auto told = nlohmann::json::parse(report.json).at("sigma_layer");
@@ -1110,7 +1113,8 @@ TEST(EmdSigmaLayer, TailsMakeSigmaWiderWhereTheyAre) {
     params.training.sigma_tails = has_tails ? 0.3 : 0.0;
     EmdPredictor predictor(params, host);
     predictor.bind(task);
-    predictor.calibrate(fresh, fresh.unseen(predictor.trained_on()), task, {.seed = 5, .model = folder / "new.h5"});
+    predictor.calibrate(fresh, unseen_examples(fresh, predictor.trained_on()), task,
+                        {.seed = 5, .model = folder / "new.h5"});
     const Predicted now(folder / "new.h5", params, fresh, task);
     for (const int axis : {0, 1}) log_sigma[has_tails][axis] = now.log_sigma(axis == 0 ? 0 : 2);
   }
@@ -1131,7 +1135,7 @@ TEST(EmdSigmaLayer, StaysWhenItsFitIsNoBetter) {
   const auto fitted_to = [&](std::size_t count) {
     EmdPredictor predictor(params, host);
     predictor.bind(task);
-    auto examples = fresh.unseen(predictor.trained_on());
+    auto examples = unseen_examples(fresh, predictor.trained_on());
     examples.resize(count);
     const auto report = predictor.calibrate(fresh, examples, task, {.seed = 5, .model = folder / "new.h5"});
     EXPECT_EQ(load_model(folder / "new.h5").weights, weights);

@@ -4,9 +4,10 @@
 #include <cmath>
 #include <functional>
 
-#include "weft/conformance.hpp"
+#include "conformance/conformance.hpp"
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
 #include "weft/optimiser.hpp"
-#include "weft/registry.hpp"
 
 /// What the tests of the optimisers share: objectives whose minima are known, and a host that loads the plugins.
 namespace weft::test {

@@ -7,14 +7,15 @@
 #include <cmath>
 #include <fstream>
 
+#include "conformance/conformance.hpp"
+#include "experiments/prediction_evaluation.hpp"
+#include "loader/program_host.hpp"
 #include "predictor/torchscript/torchscript.hpp"
+#include "session/planner.hpp"
+#include "session/session.hpp"
+#include "simulation/task_config.hpp"
 #include "unit/descent.hpp"
 #include "unit/test_support.hpp"
-#include "weft/conformance.hpp"
-#include "weft/planner.hpp"
-#include "weft/prediction_evaluation.hpp"
-#include "weft/session.hpp"
-#include "weft/task.hpp"
 
 namespace weft::torchscript {
 namespace {

@@ -13,11 +13,13 @@
 #include <numbers>
 #include <numeric>
 
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
+#include "report/page.hpp"
+#include "session/session.hpp"
+#include "simulation/task_config.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/random.hpp"
-#include "weft/registry.hpp"
-#include "weft/report.hpp"
-#include "weft/session.hpp"
 
 namespace {
 

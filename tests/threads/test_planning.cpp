@@ -5,11 +5,12 @@
 #include <atomic>
 #include <thread>
 
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
+#include "session/planner.hpp"
 #include "unit/descent.hpp"
 #include "unit/test_support.hpp"
 #include "unit/toy_trajectory.hpp"
-#include "weft/planner.hpp"
-#include "weft/registry.hpp"
 
 namespace weft {
 namespace {

@@ -7,8 +7,8 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "experiments/sweep.hpp"
 #include "test_support.hpp"
-#include "weft/ablation.hpp"
 
 namespace weft::test {
 namespace {

@@ -3,7 +3,6 @@
 
 #include "unit/test_support.hpp"
 #include "weft/config.hpp"
-#include "weft/refusal.hpp"
 
 namespace weft {
 namespace {

@@ -6,6 +6,10 @@
 #include <iterator>
 #include <thread>
 
+#include "learning/dataset_files.hpp"
+#include "learning/generate.hpp"
+#include "learning/held_out.hpp"
+#include "simulation/fold.hpp"
 #include "toy_trajectory.hpp"
 #include "unit/test_support.hpp"
 #include "weft/dataset.hpp"
@@ -186,7 +190,7 @@ TEST(Dataset, LoadsWhatWasSimulated) {
   const Folder folder;
   ToyHost host(2);
   generate(folder / "d", 20, host);
-  const Dataset data = Dataset::load(folder / "d");
+  const Dataset data = load_dataset(folder / "d");
   const Task task = toy_task();
   data.require_task(task);
   ASSERT_EQ(data.examples.size(), 20u);
@@ -206,7 +210,7 @@ TEST(Dataset, LoadsWhatWasSimulated) {
     const FoldResult fold = simulate_fold(simulator, task, got.q, got.controls);
     EXPECT_LT((data.shape(i, got.segments()) - fold.shapes.back()).cwiseAbs().maxCoeff(), 1e-7);
   }
-  EXPECT_EQ(Dataset::load(folder / "d", 3).examples.size(), 3u);
+  EXPECT_EQ(load_dataset(folder / "d", 3).examples.size(), 3u);
   EXPECT_THROW(data.shape(0, 100), ShapeError);
 }
 
@@ -216,7 +220,7 @@ TEST(Dataset, AFailedSimulationIsRecorded) {
   const GenerateReport report = generate(folder / "d", 24, host);
   EXPECT_GT(report.failed, 0);
   EXPECT_LT(report.failed, 24);
-  const Dataset data = Dataset::load(folder / "d");
+  const Dataset data = load_dataset(folder / "d");
   std::int64_t failed = 0;
   for (const auto& e : data.examples) {
     failed += e.failed();
@@ -238,7 +242,7 @@ TEST(Dataset, SplitsByIndexAndMergesBackToTheSameBytes) {
   const auto counts = split_dataset(folder / "d", folder / "s");
   EXPECT_EQ(counts[0] + counts[1] + counts[2], 37);
   for (const auto count : counts) EXPECT_GT(count, 0);
-  const Dataset part = Dataset::load(folder / "s" / "test");
+  const Dataset part = load_dataset(folder / "s" / "test");
   for (const auto& e : part.examples) EXPECT_EQ(part.header.split(e.index), Split::test);
   merge_datasets({folder / "s" / "validation", folder / "s" / "train", folder / "s" / "test"}, folder / "m");
   EXPECT_EQ(contents(folder / "m"), contents(folder / "d"));
@@ -250,11 +254,11 @@ TEST(Dataset, AppendsAnotherDatasetOfTheSameTaskAndKeepsEachSplit) {
   const Folder folder;
   ToyHost host(2);
   generate(folder / "a", 20, host);
-  Dataset both = Dataset::load(folder / "a"), other = both;
+  Dataset both = load_dataset(folder / "a"), other = both;
   for (auto& e : other.examples) e.q.setConstant(0.25);
   other.header.identity = "of another distribution";
   const auto own = both.select(Split::train);
-  both.append(other);
+  append_dataset(both, other);
   const auto all = both.select(Split::train);
   ASSERT_EQ(all.size(), 2 * own.size());
   for (std::size_t i = 0; i < own.size(); ++i) {
@@ -264,11 +268,14 @@ TEST(Dataset, AppendsAnotherDatasetOfTheSameTaskAndKeepsEachSplit) {
   EXPECT_NE(both.header.identity, other.header.identity);
 
   Dataset again = other;
-  EXPECT_THAT(message_of<ConfigError>([&] { again.append(other); }), HasSubstr("the same one"));
+  EXPECT_THAT(message_of<ConfigError>([&] { append_dataset(again, other); }), HasSubstr("the same one"));
   const auto refused = [&](auto change) {
-    Dataset wrong = Dataset::load(folder / "a");
+    Dataset wrong = load_dataset(folder / "a");
     change(wrong.header);
-    return message_of<ConfigError>([&] { Dataset(other).append(wrong); });
+    return message_of<ConfigError>([&] {
+      Dataset target = other;
+      append_dataset(target, wrong);
+    });
   };
   EXPECT_THAT(refused([](auto& h) { h.garment_hash ^= 1; }), HasSubstr("garments differ"));
   EXPECT_THAT(refused([](auto& h) { h.control_names.push_back("x"); }), HasSubstr("trajectories differ"));
@@ -279,12 +286,12 @@ TEST(Dataset, SaysWhenASplitIsNotWhatAModelTookItFor) {
   const Folder folder;
   ToyHost host(2);
   generate(folder / "d", 40, host);
-  const Dataset data = Dataset::load(folder / "d");
+  const Dataset data = load_dataset(folder / "d");
   const DatasetOrigin own = data.header.origin();
   const auto warnings = [&](const std::vector<DatasetOrigin>& trained_on) {
     std::string all;
     for (const Split split : {Split::train, Split::validation, Split::test})
-      all += data.held_out_warning(split, trained_on);
+      all += held_out_warning(data, split, trained_on);
     return all;
   };
   EXPECT_EQ(warnings({}), "");  // an older model does not say
@@ -294,15 +301,15 @@ TEST(Dataset, SaysWhenASplitIsNotWhatAModelTookItFor) {
   Dataset both = data, second = data;
   second.header.identity = other.identity;
   second.header.seed = other.seed;
-  both.append(second);
+  append_dataset(both, second);
   ASSERT_EQ(both.origins().size(), 2u);
   EXPECT_EQ(both.origins()[0].identity, own.identity);
   EXPECT_EQ(both.origins()[1].seed, other.seed);
   EXPECT_EQ(warnings(both.origins()), "");
 
   // Another seed: nothing in common, so that its train split is no training data.
-  EXPECT_THAT(data.held_out_warning(Split::train, {other}), HasSubstr("was not trained on dataset " + own.identity));
-  EXPECT_EQ(data.held_out_warning(Split::test, {other}), "");
+  EXPECT_THAT(held_out_warning(data, Split::train, {other}), HasSubstr("was not trained on dataset " + own.identity));
+  EXPECT_EQ(held_out_warning(data, Split::test, {other}), "");
   // The same examples, otherwise split: those that were trained on are counted.
   DatasetOrigin resplit = own;
   resplit.test_fraction = 0.5 * own.test_fraction;
@@ -313,10 +320,10 @@ TEST(Dataset, SaysWhenASplitIsNotWhatAModelTookItFor) {
   ASSERT_GT(used, 0);
   ASSERT_LT(used, static_cast<std::ptrdiff_t>(test.size()));
   EXPECT_THAT(
-      data.held_out_warning(Split::test, {other, resplit}),
+      held_out_warning(data, Split::test, {other, resplit}),
       HasSubstr(std::to_string(used) + " of the " + std::to_string(test.size()) + " examples of the test split"));
   const std::string all = std::to_string(data.select(Split::validation).size());
-  EXPECT_THAT(data.held_out_warning(Split::validation, {resplit}), HasSubstr(all + " of the " + all));
+  EXPECT_THAT(held_out_warning(data, Split::validation, {resplit}), HasSubstr(all + " of the " + all));
   EXPECT_THAT(message_of<ConfigError>([] { split_named("tset"); }), HasSubstr("'tset'"));
 }
 
@@ -324,7 +331,7 @@ TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
   const Folder folder;
   ToyHost host(2);
   generate(folder / "d", 40, host);
-  Dataset data = Dataset::load(folder / "d");
+  Dataset data = load_dataset(folder / "d");
   const DatasetOrigin own = data.header.origin();
   const auto train = data.select(Split::train), validation = data.select(Split::validation);
   ASSERT_GT(validation.size(), 1u);
@@ -334,14 +341,14 @@ TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
     return a;
   };
   const DatasetOrigin other{"of another seed", own.seed + 1, 0.5, 0.0};
-  EXPECT_EQ(data.unseen({own}), validation);
-  EXPECT_EQ(data.unseen({other}), joined(train, validation));
-  EXPECT_EQ(data.unseen({other, own}), validation);
-  EXPECT_EQ(data.unseen({}), validation);  // who knows
+  EXPECT_EQ(unseen_examples(data, {own}), validation);
+  EXPECT_EQ(unseen_examples(data, {other}), joined(train, validation));
+  EXPECT_EQ(unseen_examples(data, {other, own}), validation);
+  EXPECT_EQ(unseen_examples(data, {}), validation);  // who knows
   // The same numbers of the same seed under another config: much the same examples.
   DatasetOrigin similar = own;
   similar.identity = "of another distribution";
-  EXPECT_EQ(data.unseen({similar}), validation);
+  EXPECT_EQ(unseen_examples(data, {similar}), validation);
   // ... and otherwise split: what was tested there is no good here, nor is what is tested here.
   similar.test_fraction = 0.5 * own.test_fraction;
   similar.validation_fraction = 1.0 - similar.test_fraction;
@@ -349,9 +356,9 @@ TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
   for (const auto i : joined(train, validation)) {
     if (similar.split(data.examples[i].index) == Split::validation) wanted.push_back(i);
   }
-  EXPECT_EQ(data.unseen({similar}), wanted);
+  EXPECT_EQ(unseen_examples(data, {similar}), wanted);
   similar.validation_fraction = 0.0;
-  EXPECT_TRUE(data.unseen({similar}).empty());
+  EXPECT_TRUE(unseen_examples(data, {similar}).empty());
 
   // Of several, each by what it is; one that failed is none.
   Dataset both = data, second = data, third = data;
@@ -360,8 +367,8 @@ TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
   second.examples[train.front()].failure = "diverged";
   third.header.identity = "a third";
   third.header.seed = own.seed + 2;
-  second.append(third);
-  both.append(second);
+  append_dataset(second, third);
+  append_dataset(both, second);
   EXPECT_EQ(both.begins, (std::vector<std::size_t>{0, 40, 80}));
   EXPECT_EQ(both.source(0), 0u);
   EXPECT_EQ(both.source(39), 0u);
@@ -373,49 +380,50 @@ TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
     if (i != train.front()) chosen.push_back(40 + i);
   }
   for (const auto i : joined(train, validation)) chosen.push_back(80 + i);
-  EXPECT_EQ(both.unseen({own}), chosen);
+  EXPECT_EQ(unseen_examples(both, {own}), chosen);
 }
 
 TEST(Dataset, SaysWhenSigmaWasCalibratedOnASplit) {
   const Folder folder;
   ToyHost host(2);
   generate(folder / "d", 40, host);
-  const Dataset data = Dataset::load(folder / "d");
+  const Dataset data = load_dataset(folder / "d");
   const DatasetOrigin own = data.header.origin(), other{"of another seed", own.seed + 1, 0.2, 0.3};
   const auto all_of = [&](Split split, const std::vector<DatasetOrigin>& trained_on) {
     const std::string n = std::to_string(data.select(split).size());
-    const std::string warning = data.held_out_warning(split, trained_on, {own});
+    const std::string warning = held_out_warning(data, split, trained_on, {own});
     return warning.find(n + " of the " + n) != std::string::npos &&
            warning.find("its sigma was calibrated on") != std::string::npos;
   };
   EXPECT_TRUE(all_of(Split::train, {other}));
   EXPECT_TRUE(all_of(Split::validation, {other}));
-  EXPECT_EQ(data.held_out_warning(Split::test, {other}, {own}), "");
+  EXPECT_EQ(held_out_warning(data, Split::test, {other}, {own}), "");
   // Trained on the same: the validation split alone was calibrated on, see unseen().
-  EXPECT_EQ(data.held_out_warning(Split::train, {own}, {own}), "");
+  EXPECT_EQ(held_out_warning(data, Split::train, {own}, {own}), "");
   EXPECT_TRUE(all_of(Split::validation, {own}));
-  EXPECT_EQ(data.held_out_warning(Split::validation, {own}, {other}), "");
+  EXPECT_EQ(held_out_warning(data, Split::validation, {own}, {other}), "");
 
   // Of several, each by what it is.
   Dataset both = data, second = data;
   second.header.identity = other.identity;
   second.header.seed = other.seed;
-  both.append(second);
+  append_dataset(both, second);
   const DatasetOrigin next = second.header.origin();
   const std::string n = std::to_string(data.select(Split::train).size()),
                     all = std::to_string(both.select(Split::train).size());
-  EXPECT_NE(both.held_out_warning(Split::train, {own}, {next}).find(n + " of the " + all), std::string::npos);
-  const std::string untrained = both.held_out_warning(Split::train, {own}, {});
+  EXPECT_NE(held_out_warning(both, Split::train, {own}, {next}).find(n + " of the " + all), std::string::npos);
+  const std::string untrained = held_out_warning(both, Split::train, {own}, {});
   EXPECT_NE(untrained.find("was not trained on dataset " + other.identity), std::string::npos);
   EXPECT_EQ(untrained.find("was not trained on dataset " + own.identity), std::string::npos);
 
   // All examples are to be held out as test examples are.
   const std::size_t known = data.select(Split::train).size() + data.select(Split::validation).size();
   ASSERT_EQ(both.select({}).size(), both.examples.size());
-  EXPECT_NE(both.held_out_warning({}, {own}).find(std::to_string(known) + " of the " +
-                                                  std::to_string(both.examples.size()) + " examples may not be held"),
+  EXPECT_NE(held_out_warning(both, {}, {own})
+                .find(std::to_string(known) + " of the " + std::to_string(both.examples.size()) +
+                      " examples may not be held"),
             std::string::npos);
-  EXPECT_EQ(data.held_out_warning({}, {other}), "");
+  EXPECT_EQ(held_out_warning(data, {}, {other}), "");
 }
 
 TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {
@@ -451,14 +459,14 @@ TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {
     }
   }
   EXPECT_GT(refused, 60);
-  EXPECT_THROW(Dataset::load(folder / "nothing"), ConfigError);
+  EXPECT_THROW(load_dataset(folder / "nothing"), ConfigError);
 }
 
 TEST(Dataset, ExamplesOfAnotherTaskAreRefusedWithTheReason) {
   const Folder folder;
   ToyHost host(1);
   generate(folder / "d", 5, host);
-  const Dataset data = Dataset::load(folder / "d");
+  const Dataset data = load_dataset(folder / "d");
   Task other = toy_task();
   other.manipulation.grasp_points(0, 0) += 0.01;
   EXPECT_THAT(message_of<ConfigError>([&] { data.require_task(other); }), HasSubstr("another manipulation"));

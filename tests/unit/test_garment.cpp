@@ -4,6 +4,7 @@
 #include <limits>
 #include <random>
 
+#include "meshes/intersections.hpp"
 #include "test_support.hpp"
 #include "weft/garment.hpp"
 

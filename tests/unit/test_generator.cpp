@@ -1,5 +1,5 @@
+#include "meshes/mesher.hpp"
 #include "test_support.hpp"
-#include "weft/garment_generator.hpp"
 
 namespace weft {
 namespace {

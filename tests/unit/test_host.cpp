@@ -5,8 +5,9 @@
 #include <thread>
 #include <vector>
 
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
 #include "unit/test_support.hpp"
-#include "weft/registry.hpp"
 
 namespace weft {
 namespace {

@@ -1,6 +1,6 @@
 #include <gtest/gtest.h>
 
-#include "weft/instance_rows.hpp"
+#include "session/instance_rows.hpp"
 
 namespace weft {
 namespace {

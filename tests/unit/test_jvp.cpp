@@ -2,8 +2,8 @@
 
 #include <cmath>
 
+#include "session/jvp.hpp"
 #include "toy_trajectory.hpp"
-#include "weft/jvp.hpp"
 
 namespace weft {
 namespace {

@@ -3,7 +3,7 @@
 #include <set>
 #include <vector>
 
-#include "philox.hpp"
+#include "sdk/philox.hpp"
 #include "unit/test_support.hpp"
 #include "weft/error.hpp"
 #include "weft/random.hpp"

@@ -2,8 +2,9 @@
 
 #include <cstdlib>
 
+#include "loader/program_host.hpp"
+#include "loader/registry.hpp"
 #include "unit/test_support.hpp"
-#include "weft/registry.hpp"
 #include "weft/trajectory.hpp"
 
 namespace weft {

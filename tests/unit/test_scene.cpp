@@ -1,7 +1,7 @@
 #include <nlohmann/json.hpp>
 
+#include "simulation/scene.hpp"
 #include "test_support.hpp"
-#include "weft/scene_run.hpp"
 
 namespace weft {
 namespace {

@@ -2,8 +2,8 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "experiments/estimation_evaluation.hpp"
 #include "test_support.hpp"
-#include "weft/session_evaluation.hpp"
 
 namespace weft {
 namespace {

@@ -5,23 +5,10 @@
 #include <string>
 
 #include "weft/config.hpp"
+#include "weft/mesh.hpp"
 #include "weft/types.hpp"
 
 namespace weft {
-
-/// A triangle mesh as an OBJ file holds it. `vt` are rest coordinates in metres, one per vertex.
-struct Mesh {
-  Positions positions;  ///< [V, 3] m
-  Faces faces;          ///< [F, 3]
-  RestPositions rest;   ///< [V, 2] m, or [0, 2] when the file has no vt
-  std::string source;   ///< file name, for messages
-};
-
-/// Reads triangles from a Wavefront OBJ. Several components are allowed.
-/// @throws ConfigError naming file, line and the face or vertex: quads, wrong indices, NaN, several vt for one vertex.
-WEFT_API Mesh read_obj(const std::filesystem::path& path);
-/// Writes v (at least 9 significant digits, exact when read back as double with `exact`), vt when present, f.
-WEFT_API void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact = false);
 
 /// A piece of cloth: rest shape in 2D, flat or given initial positions, faces, and named vertices.
 /// Immutable once made; topology is fixed for its whole life.
@@ -51,10 +38,5 @@ WEFT_API Garment read_garment(const ConfigNode& node);
 /// Mean distance between corresponding vertices, mm: the paper's error measure (Fig. 3).
 /// @throws ShapeError when the shapes differ.
 WEFT_API double mean_distance_mm(const Positions& a, const Positions& b);
-
-/// Edges of the faces, each once, [E, 2] with first < second, sorted.
-WEFT_API Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_of(const Faces& faces);
-/// Number of edge/triangle intersections of the mesh with itself (pairs that share a vertex are not tested).
-WEFT_API Index count_intersections(const Positions& positions, const Faces& faces);
 
 }  // namespace weft

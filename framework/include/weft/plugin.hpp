@@ -19,10 +19,9 @@ extern "C" struct WeftPluginInfo {
 // Everything two libraries must agree on before they exchange C++ objects.
 #define WEFT_STRINGIFY_(x) #x
 #define WEFT_STRINGIFY(x) WEFT_STRINGIFY_(x)
-#define WEFT_ABI_TAG \
-  "weft1 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI)    \
-  " eigen" WEFT_STRINGIFY(EIGEN_WORLD_VERSION) "." WEFT_STRINGIFY(EIGEN_MAJOR_VERSION) "." WEFT_STRINGIFY( \
-      EIGEN_MINOR_VERSION) " align" WEFT_STRINGIFY(EIGEN_MAX_ALIGN_BYTES)
+#define WEFT_ABI_TAG                                                                                                           \
+  "weft1 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI) " eigen" WEFT_STRINGIFY( \
+      EIGEN_WORLD_VERSION) "." WEFT_STRINGIFY(EIGEN_MAJOR_VERSION) "." WEFT_STRINGIFY(EIGEN_MINOR_VERSION) " align" WEFT_STRINGIFY(EIGEN_MAX_ALIGN_BYTES)
 
 /// Writes `text` into a fixed char array of the info; too long does not compile.
 template <std::size_t N, std::size_t M>

@@ -5,23 +5,13 @@
 #include <string>
 #include <vector>
 
-#include "weft/simulator.hpp"
-#include "weft/trajectory.hpp"
+#include "weft/material.hpp"
+#include "weft/task.hpp"
+#include "weft/types.hpp"
 
 namespace weft {
 
 class TrainablePredictor;
-
-/// What is fixed for a manipulation session and known to every predictor.
-struct Task {
-  std::shared_ptr<const Garment> garment;
-  MaterialSpace material;
-  Manipulation manipulation;
-  std::shared_ptr<const Trajectory> trajectory;
-  Scene scene;
-  SettleCriterion settle;
-  ConfigNode simulator;  ///< {plugin, params} of the session's simulator, for predictors that simulate
-};
 
 /// One instance of a batch: where it starts, what is done, what is known, which shapes are wanted.
 struct PredictionCase {

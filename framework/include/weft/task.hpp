@@ -1,84 +1,24 @@
 #pragma once
-#include "weft/params.hpp"
-#include "weft/predictor.hpp"
-#include "weft/registry.hpp"
+#include <memory>
+
+#include "weft/config.hpp"
+#include "weft/garment.hpp"
+#include "weft/material.hpp"
+#include "weft/simulator.hpp"
+#include "weft/trajectory.hpp"
+#include "weft/types.hpp"
 
 namespace weft {
 
-/// What a task file says about the cloth, the hands and the world; shared by every command. The rest of a task file
-/// (planning, goal, ...) belongs to the command that reads it.
-struct TaskParams {
-  ConfigNode garment;
-  ConfigNode material;
-  ConfigNode simulator = ConfigNode::parse("{plugin: cloth}", "default");
-  ConfigNode trajectory = ConfigNode::parse("{plugin: arc}", "default");
-  struct Hands {
-    std::vector<std::string> grasp = {"left_sleeve_top", "left_body_bottom"};
-    std::vector<double> displacement_m;
-    double drop_height_m = 0.05;
-    template <class Visitor>
-    void visit(Visitor& v) {
-      v("grasp", grasp, "The two named vertices that the hands hold: the paper's g_0.");
-      v("displacement_m", displacement_m, range(-10, 10, "m"),
-        "d, [x, y]: displacement of the grasp points' midpoint; `weft displacement` tunes its length.");
-      v("drop_height_m", drop_height_m, range(0, 1, "m"),
-        "h: height of the grasp points above contact at 180 degrees.");
-    }
-  } manipulation;
-  struct World {
-    std::vector<double> gravity_m_per_s2 = {0.0, 0.0, -9.81};
-    template <class Visitor>
-    void visit(Visitor& v) {
-      v("gravity_m_per_s2", gravity_m_per_s2, range(-100, 100, "m/s^2"), "Gravity, [x, y, z].");
-    }
-  } scene;
-  struct Settle {
-    double speed_m_per_s = 0.005;
-    std::int64_t hold_frames = 6;
-    std::int64_t max_frames = 900;  // stiff, slippery loops unroll for up to ten seconds
-    template <class Visitor>
-    void visit(Visitor& v) {
-      v("speed_m_per_s", speed_m_per_s, range(1e-5, 1, "m/s"), "Largest vertex speed of a settled cloth.");
-      v("hold_frames", hold_frames, range(1, 1000, "frames"), "How long the speed must stay below it.");
-      v("max_frames", max_frames, range(1, 100000, "frames"), "When to give up waiting.");
-    }
-  } settle;
-
-  template <class Visitor>
-  void visit(Visitor& v) {
-    v("garment", garment, "Garment file or mapping.");
-    v("material", material, "Material space file or mapping: the fabric that each normalised property stands for.");
-    v("simulator", simulator, PluginSlot{"simulator"}, "Simulator plugin of the executed fold.");
-    v("trajectory", trajectory, PluginSlot{"trajectory"}, "Trajectory plugin.");
-    v.group("manipulation", manipulation, "What the hands hold and where they bring it.");
-    v.group("scene", scene, "The world around the cloth.");
-    v.group("settle", settle, "When the released cloth counts as settled.");
-  }
+/// What is fixed for a manipulation session and known to every predictor.
+struct Task {
+  std::shared_ptr<const Garment> garment;
+  MaterialSpace material;
+  Manipulation manipulation;
+  std::shared_ptr<const Trajectory> trajectory;
+  Scene scene;
+  SettleCriterion settle;
+  ConfigNode simulator;  ///< {plugin, params} of the session's simulator, for predictors that simulate
 };
-
-/// Builds the task: loads the garment and the material space, makes the trajectory.
-/// The manipulation's contact height is that of the thickest cloth in the material space.
-/// @param params read by read_params; @param origin the node that they came from, for messages.
-/// @throws ConfigError, PluginError.
-WEFT_API Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host);
-
-/// Lays the task's garment, of the fabric in the middle of its range, into a simulator, and logs what the simulator
-/// warns of: a wrong simulator, or one that cannot honour the fabric, shows before any work.
-/// @throws what making and resetting it throws.
-WEFT_API void check_simulator(const ConfigNode& slot, const Task& task, Host& host);
-
-/// One fold under known material: runs the controls from the flat garment to release (or to the last segment) and
-/// settles.
-struct FoldResult {
-  std::vector<Positions> shapes;  ///< [segments + 1]: at the start and after every segment; the last one settled
-  Controls states;                ///< [segments + 1, S]
-  Index segments = 0;             ///< executed
-  bool released = false;
-  SettleResult settle;
-  double max_grasp_strain = 0.0;
-};
-/// @throws Diverged, ConfigError.
-WEFT_API FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material,
-                                  const Controls& controls);
 
 }  // namespace weft

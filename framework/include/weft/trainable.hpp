@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "weft/dataset.hpp"
+#include "weft/predictor.hpp"
 
 namespace weft {
 

@@ -8,8 +8,8 @@
 #include <memory>
 
 #include "weft/batching.hpp"
+#include "weft/config.hpp"
 #include "weft/random.hpp"
-#include "weft/refusal.hpp"
 
 namespace weft::nlopt_solver {
 namespace {

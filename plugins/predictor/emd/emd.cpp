@@ -4,7 +4,7 @@
 #include <cmath>
 #include <numeric>
 
-#include "training.hpp"
+#include "training_library.hpp"
 
 namespace weft::emd {
 namespace {

@@ -2,7 +2,7 @@
 #include <numeric>
 #include <vector>
 
-#include "kernels.hpp"
+#include "kernels/kernels.hpp"
 #include "model.hpp"
 
 namespace weft::emd {

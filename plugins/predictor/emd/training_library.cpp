@@ -3,7 +3,7 @@
 #include <filesystem>
 #include <mutex>
 
-#include "training.hpp"
+#include "training_library.hpp"
 
 namespace weft::emd {
 

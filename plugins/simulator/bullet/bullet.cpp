@@ -12,7 +12,7 @@
 #include <numeric>
 
 #include "weft/error.hpp"
-#include "weft/simulator_checks.hpp"
+#include "weft/simulator.hpp"
 
 static_assert(sizeof(btScalar) == sizeof(double), "build with BT_USE_DOUBLE_PRECISION");
 

@@ -5,7 +5,7 @@
 #include <limits>
 
 #include "weft/error.hpp"
-#include "weft/simulator_checks.hpp"
+#include "weft/simulator.hpp"
 
 namespace weft::cloth {
 namespace {

@@ -1,0 +1,123 @@
+#pragma once
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "conformance/conformance.hpp"
+#include "weft/predictor.hpp"
+
+/// What the laws of every kind share. Internal to the conformance kit.
+namespace weft::conformance {
+
+/// What the kit was asked to check, and with what.
+struct Bench {
+  Host& host;
+  ConfigNode slot;  ///< {plugin, params}
+  ConfigNode task;  ///< `task:` of the tolerances; null: the kit's own
+
+  template <class Interface>
+  std::shared_ptr<Interface> make() const {
+    return host.create<Interface>(slot);
+  }
+};
+
+struct Outcome {
+  double measured = 0.0;
+  std::string detail;
+};
+
+struct Law {
+  const char* name;
+  const char* text;
+  double bound;
+  Outcome (*check)(const Bench&);
+};
+
+const std::vector<Law>& simulator_laws();
+const std::vector<Law>& predictor_laws();
+const std::vector<Law>& trajectory_laws();
+const std::vector<Law>& optimiser_laws();
+
+/// The task that predictors are bound to: `task:` of the tolerances where given, the kit's towel fold otherwise.
+Task predictor_task(const Bench& bench);
+
+inline Outcome failed(std::string why) { return {std::numeric_limits<double>::infinity(), std::move(why)}; }
+/// The ability is not declared and asking for it was refused.
+inline Outcome undeclared() { return {0.0, "not declared; throws Unsupported"}; }
+/// The ability is not declared and the interface has no call that could refuse it.
+inline Outcome undeclared_without_call() { return {0.0, "not declared; there is no call to refuse"}; }
+
+/// Counts calls that should have been refused and were not.
+class Refusals {
+ public:
+  /// Runs `call`, which must throw one of Wanted... (or something derived from it).
+  template <class... Wanted, class Call>
+  void wants(const std::string& what, Call&& call) {
+    try {
+      call();
+      miss(what + " was accepted");
+    } catch (const std::exception& error) {
+      if (!(... || (dynamic_cast<const Wanted*>(&error) != nullptr)))
+        miss(what + " threw the wrong kind of error: " + error.what());
+    }
+  }
+  void miss(const std::string& what) {
+    ++missed_;
+    if (detail_.size() < 400) detail_ += (detail_.empty() ? "" : "; ") + what;
+  }
+  Outcome outcome() const { return {static_cast<double>(missed_), detail_}; }
+
+ private:
+  int missed_ = 0;
+  std::string detail_;
+};
+
+/// Numbers that differ in at least one bit; a different shape counts as all of them.
+template <class A, class B>
+double differing(const A& a, const B& b) {
+  if (a.rows() != b.rows() || a.cols() != b.cols()) return static_cast<double>(std::max(a.size(), b.size()));
+  double count = 0;
+  for (Index r = 0; r < a.rows(); ++r) {
+    for (Index c = 0; c < a.cols(); ++c) {
+      const double x = a(r, c), y = b(r, c);
+      if (std::memcmp(&x, &y, sizeof x) != 0) ++count;
+    }
+  }
+  return count;
+}
+
+/// A square towel of n x n vertices in the plane z, corner at the origin, named corners; vertex row * n + column, x =
+/// column.
+std::shared_ptr<const Garment> towel(Index n, double size, double z = 0.0);
+/// Isotropic, undamped.
+Fabric plain_fabric();
+/// Runs both at the same time on two threads; rethrows what they throw.
+template <class First, class Second>
+void on_two_threads(First&& first, Second&& second) {
+  std::exception_ptr errors[2];
+  std::thread a([&] {
+    try {
+      first();
+    } catch (...) {
+      errors[0] = std::current_exception();
+    }
+  });
+  std::thread b([&] {
+    try {
+      second();
+    } catch (...) {
+      errors[1] = std::current_exception();
+    }
+  });
+  a.join();
+  b.join();
+  for (const auto& error : errors)
+    if (error) std::rethrow_exception(error);
+}
+
+}  // namespace weft::conformance

@@ -1,0 +1,27 @@
+#pragma once
+#include <filesystem>
+#include <string>
+
+#include "weft/export.hpp"
+#include "weft/types.hpp"
+
+namespace weft {
+
+/// A triangle mesh as an OBJ file holds it. `vt` are rest coordinates in metres, one per vertex.
+struct Mesh {
+  Positions positions;  ///< [V, 3] m
+  Faces faces;          ///< [F, 3]
+  RestPositions rest;   ///< [V, 2] m, or [0, 2] when the file has no vt
+  std::string source;   ///< file name, for messages
+};
+
+/// Reads triangles from a Wavefront OBJ. Several components are allowed.
+/// @throws ConfigError naming file, line and the face or vertex: quads, wrong indices, NaN, several vt for one vertex.
+WEFT_API Mesh read_obj(const std::filesystem::path& path);
+/// Writes v (at least 9 significant digits, exact when read back as double with `exact`), vt when present, f.
+WEFT_API void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact = false);
+
+/// Edges of the faces, each once, [E, 2] with first < second, sorted.
+WEFT_API Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_of(const Faces& faces);
+
+}  // namespace weft

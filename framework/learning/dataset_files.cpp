@@ -1,0 +1,410 @@
+#include "learning/dataset_files.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <set>
+
+#include "sdk/fingerprint.hpp"
+#include "weft/hdf5_file.hpp"
+
+namespace weft {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kSchema = "weft dataset 1";
+constexpr Index kMostSegments = 100000;
+
+std::string join(const std::vector<std::string>& words) {
+  std::string text;
+  for (const auto& word : words) text += (text.empty() ? "" : " ") + word;
+  return text;
+}
+std::vector<std::string> words_of(const std::string& text) {
+  std::vector<std::string> words(1);
+  for (const char c : text) {
+    if (c == ' ') {
+      words.emplace_back();
+    } else {
+      words.back() += c;
+    }
+  }
+  if (words.back().empty()) words.pop_back();
+  return words;
+}
+
+std::vector<double> flat(const Controls& m) { return {m.data(), m.data() + m.size()}; }
+
+/// All arrays of a shard as they lie in the file: examples one after the other.
+struct Columns {
+  std::vector<std::int64_t> index, segments, released, settled, settle_frames;
+  std::vector<double> settle_speed, strain, q, controls, states, targets;
+  std::vector<float> shapes;
+  std::vector<std::string> failures;
+
+  std::string checksum() const {
+    Fingerprint f;
+    for (const auto* v : {&index, &segments, &released, &settled, &settle_frames}) f.add_values(v->data(), v->size());
+    for (const auto* v : {&settle_speed, &strain, &q, &controls, &states, &targets}) f.add_values(v->data(), v->size());
+    f.add_values(shapes.data(), shapes.size());
+    for (const auto& text : failures) f.add(text);
+    return f.hex();
+  }
+};
+
+Columns to_columns(const Shard& shard) {
+  Columns c;
+  const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
+  for (const auto& e : shard.examples) {
+    c.index.push_back(e.index);
+    c.segments.push_back(e.segments());
+    c.released.push_back(e.released);
+    c.settled.push_back(e.settle.settled);
+    c.settle_frames.push_back(e.settle.frames);
+    c.settle_speed.push_back(e.settle.max_speed);
+    c.strain.push_back(e.max_grasp_strain);
+    for (Index p = 0; p < 4; ++p) c.q.push_back(e.q(p));
+    append(c.controls, flat(e.controls));
+    append(c.states, flat(e.states));
+    append(c.targets, flat(e.targets));
+    append(c.shapes, e.shapes);
+    c.failures.push_back(e.failure);
+  }
+  return c;
+}
+
+[[noreturn]] void refuse(const fs::path& file, const std::string& reason) {
+  throw ConfigError(file.string() + ": " + reason);
+}
+
+void require_same(const fs::path& file, const DatasetHeader& a, const DatasetHeader& b) {
+  if (a.identity != b.identity) {
+    refuse(file, "belongs to another dataset (identity " + a.identity + ", wanted " + b.identity +
+                     "): config, seed or garment differ");
+  }
+}
+
+std::string example_fingerprint(const Example& e) {
+  Shard one;
+  one.examples.push_back(e);
+  return to_columns(one).checksum();
+}
+
+}  // namespace
+
+void write_shard(const fs::path& path, const Shard& shard) {
+  const auto& h = shard.header;
+  const Columns c = to_columns(shard);
+  const auto n = static_cast<Index>(c.index.size());
+  auto file = Hdf5File::create(path);
+  file.write("/schema", std::string(kSchema));
+  file.write("/config", h.config);
+  file.write("/identity", h.identity);
+  file.write("/provenance", h.provenance);
+  file.write("/seed", std::to_string(h.seed));
+  file.write("/checksum", c.checksum());
+  file.write("/garment/name", h.garment_name);
+  file.write("/garment/hash", std::to_string(h.garment_hash));
+  file.write("/names/controls", join(h.control_names));
+  file.write("/names/states", join(h.state_names));
+  const std::int64_t sizes[5] = {h.vertices, h.controls, h.states, h.hands, h.shard_examples};
+  file.write("/sizes", {5}, sizes);
+  const double fractions[2] = {h.validation_fraction, h.test_fraction};
+  file.write("/split_fractions", {2}, fractions);
+  const auto ints = [&](const char* name, const std::vector<std::int64_t>& v) { file.write(name, {n}, v.data()); };
+  ints("/examples/index", c.index);
+  ints("/examples/segments", c.segments);
+  ints("/examples/released", c.released);
+  ints("/examples/settled", c.settled);
+  ints("/examples/settle_frames", c.settle_frames);
+  file.write("/examples/settle_speed", {n}, c.settle_speed.data());
+  file.write("/examples/max_grasp_strain", {n}, c.strain.data());
+  file.write("/examples/q", {n, 4}, c.q.data());
+  Index segments = 0, shapes = 0;
+  for (const auto& e : shard.examples) {
+    segments += e.segments();
+    shapes += e.failed() ? 0 : e.segments() + 1;
+  }
+  file.write("/controls", {segments, h.controls}, c.controls.data());
+  file.write("/states", {shapes, h.states}, c.states.data());
+  file.write("/targets", {shapes, 3 * h.hands}, c.targets.data());
+  file.write("/shapes", {shapes, h.vertices, 3}, c.shapes.data());
+  for (const auto& e : shard.examples) {
+    if (e.failed()) file.write("/failures/" + std::to_string(e.index), e.failure);
+  }
+  file.commit();
+}
+
+Shard read_shard(const fs::path& path) {
+  const auto file = Hdf5File::open(path);
+  if (!file.has("/schema")) refuse(path, "is no weft dataset");
+  if (const auto schema = file.read_text("/schema"); schema != kSchema) {
+    refuse(path, "has the schema '" + schema + "', this program reads '" + kSchema + "'");
+  }
+  Shard shard;
+  auto& h = shard.header;
+  h.config = file.read_text("/config");
+  h.identity = file.read_text("/identity");
+  h.provenance = file.read_text("/provenance");
+  h.garment_name = file.read_text("/garment/name");
+  try {
+    h.seed = std::stoull(file.read_text("/seed"));
+    h.garment_hash = std::stoull(file.read_text("/garment/hash"));
+  } catch (const std::logic_error&) {
+    refuse(path, "/seed or /garment/hash is no number");
+  }
+  h.control_names = words_of(file.read_text("/names/controls"));
+  h.state_names = words_of(file.read_text("/names/states"));
+  const auto sizes = file.read_int("/sizes", 5);
+  if (sizes.size() != 5) refuse(path, "/sizes must have 5 entries");
+  for (const auto size : sizes) {
+    if (size < 1 || size > 1000000) refuse(path, "/sizes holds " + std::to_string(size) + ", must be in [1, 1000000]");
+  }
+  h.vertices = sizes[0];
+  h.controls = sizes[1];
+  h.states = sizes[2];
+  h.hands = sizes[3];
+  h.shard_examples = sizes[4];
+  if (static_cast<Index>(h.control_names.size()) != h.controls ||
+      static_cast<Index>(h.state_names.size()) != h.states) {
+    refuse(path, "/names do not fit /sizes");
+  }
+  const auto fractions = file.read("/split_fractions", 2);
+  if (fractions.size() != 2 ||
+      !(fractions[0] >= 0 && fractions[0] <= 0.5 && fractions[1] >= 0 && fractions[1] <= 0.5)) {
+    refuse(path, "/split_fractions must be two numbers in [0, 0.5]");
+  }
+  h.validation_fraction = fractions[0];
+  h.test_fraction = fractions[1];
+
+  Columns c;
+  const auto expect = [&](const char* name, const std::vector<Index>& wanted) {
+    const auto got = file.shape(name);
+    if (got != wanted) {
+      std::string text;
+      for (const Index d : got) text += (text.empty() ? "" : ", ") + std::to_string(d);
+      refuse(path, std::string(name) + " has the shape [" + text + "], which does not fit the rest");
+    }
+  };
+  const auto count_shape = file.shape("/examples/index");
+  if (count_shape.size() != 1 || count_shape[0] < 1 || count_shape[0] > 1000000)
+    refuse(path, "/examples/index must have the shape [n]");
+  const Index n = count_shape[0];
+  const auto most = static_cast<std::size_t>(n) * 4;
+  const auto ints = [&](const char* name) {
+    expect(name, {n});
+    return file.read_int(name, most);
+  };
+  c.index = ints("/examples/index");
+  c.segments = ints("/examples/segments");
+  c.released = ints("/examples/released");
+  c.settled = ints("/examples/settled");
+  c.settle_frames = ints("/examples/settle_frames");
+  expect("/examples/settle_speed", {n});
+  c.settle_speed = file.read("/examples/settle_speed", most);
+  expect("/examples/max_grasp_strain", {n});
+  c.strain = file.read("/examples/max_grasp_strain", most);
+  expect("/examples/q", {n, 4});
+  c.q = file.read("/examples/q", most);
+  Index segments = 0, shapes = 0;
+  for (Index i = 0; i < n; ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    if (c.index[at] < 0 || (i > 0 && c.index[at] <= c.index[at - 1]))
+      refuse(path, "/examples/index must ascend from 0 or more");
+    if (c.segments[at] < 0 || c.segments[at] > kMostSegments) refuse(path, "/examples/segments is out of range");
+    const std::string failure = "/failures/" + std::to_string(c.index[at]);
+    c.failures.push_back(file.has(failure) ? file.read_text(failure) : std::string());
+    if (c.failures.back().empty() == (c.segments[at] == 0)) {
+      refuse(path, "example " + std::to_string(c.index[at]) + " must have either segments or a failure");
+    }
+    segments += c.segments[at];
+    shapes += c.segments[at] == 0 ? 0 : c.segments[at] + 1;
+  }
+  expect("/controls", {segments, h.controls});
+  expect("/states", {shapes, h.states});
+  expect("/targets", {shapes, 3 * h.hands});
+  expect("/shapes", {shapes, h.vertices, 3});
+  c.controls = file.read("/controls");
+  c.states = file.read("/states");
+  c.targets = file.read("/targets");
+  c.shapes = file.read_float("/shapes");
+  const auto finite = [](const auto& v) {
+    return std::all_of(v.begin(), v.end(), [](auto x) { return std::isfinite(x); });
+  };
+  for (const auto* v : {&c.settle_speed, &c.strain, &c.q, &c.controls, &c.states, &c.targets}) {
+    if (!finite(*v)) refuse(path, "holds a number that is not finite");
+  }
+  if (!finite(c.shapes)) refuse(path, "/shapes holds a number that is not finite");
+  if (c.checksum() != file.read_text("/checksum"))
+    refuse(path, "is damaged: the content does not have the recorded checksum");
+
+  std::size_t segment = 0, shape = 0;
+  for (std::size_t i = 0; i < c.index.size(); ++i) {
+    Example e;
+    e.index = c.index[i];
+    e.released = c.released[i] != 0;
+    e.settle = {c.settle_frames[i], c.settle_speed[i], c.settled[i] != 0};
+    e.max_grasp_strain = c.strain[i];
+    for (Index p = 0; p < 4; ++p) e.q(p) = c.q[4 * i + static_cast<std::size_t>(p)];
+    e.failure = c.failures[i];
+    const auto k = static_cast<Index>(c.segments[i]);
+    const Index rows = k == 0 ? 0 : k + 1;
+    const auto block = [](const std::vector<double>& from, std::size_t row, Index count, Index columns) {
+      return Controls(
+          Eigen::Map<const Controls>(from.data() + row * static_cast<std::size_t>(columns), count, columns));
+    };
+    e.controls = block(c.controls, segment, k, h.controls);
+    e.states = block(c.states, shape, rows, h.states);
+    e.targets = block(c.targets, shape, rows, 3 * h.hands);
+    const auto width = static_cast<std::size_t>(h.vertices) * 3;
+    e.shapes.assign(c.shapes.begin() + static_cast<std::ptrdiff_t>(shape * width),
+                    c.shapes.begin() + static_cast<std::ptrdiff_t>((shape + static_cast<std::size_t>(rows)) * width));
+    segment += static_cast<std::size_t>(k);
+    shape += static_cast<std::size_t>(rows);
+    shard.examples.push_back(std::move(e));
+  }
+  return shard;
+}
+
+std::string shard_name(std::int64_t number) {
+  char text[40];
+  std::snprintf(text, sizeof(text), "shard-%05lld.h5", static_cast<long long>(number));
+  return text;
+}
+
+std::vector<fs::path> list_shards(const fs::path& folder) {
+  if (!fs::is_directory(folder)) refuse(folder, "is no folder");
+  std::vector<fs::path> files;
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    const auto name = entry.path().filename().string();
+    if (name.rfind("shard-", 0) == 0 && entry.path().extension() == ".h5") files.push_back(entry.path());
+  }
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+Dataset load_dataset(const fs::path& folder, std::size_t max_examples) {
+  Dataset dataset;
+  const auto files = list_shards(folder);
+  if (files.empty()) refuse(folder, "holds no dataset (no shard-*.h5)");
+  for (const auto& file : files) {
+    if (max_examples > 0 && dataset.examples.size() >= max_examples) break;
+    Shard shard = read_shard(file);
+    if (dataset.examples.empty()) dataset.header = shard.header;
+    require_same(file, shard.header, dataset.header);
+    for (auto& e : shard.examples) {
+      if (!dataset.examples.empty() && e.index <= dataset.examples.back().index) {
+        refuse(file,
+               "example " + std::to_string(e.index) + " is in another file, too; `weft dataset merge` sorts this out");
+      }
+      if (max_examples == 0 || dataset.examples.size() < max_examples) dataset.examples.push_back(std::move(e));
+    }
+  }
+  return dataset;
+}
+
+void append_dataset(Dataset& dataset, Dataset other) {
+  auto& header = dataset.header;
+  const auto& h = other.header;
+  const auto fail = [&](const std::string& what) {
+    throw ConfigError("datasets " + header.identity + " and " + h.identity + ": " + what);
+  };
+  if (h.identity == header.identity) fail("are the same one");
+  if (h.garment_hash != header.garment_hash) fail("the garments differ");
+  if (h.control_names != header.control_names || h.state_names != header.state_names || h.hands != header.hands)
+    fail("the trajectories differ");
+  // An example's split goes by its number alone.
+  if (h.validation_fraction != header.validation_fraction || h.test_fraction != header.test_fraction)
+    fail("data.validation_fraction or data.test_fraction differ");
+  if (dataset.appended.empty()) dataset.begins = {0};
+  dataset.appended = dataset.origins();
+  for (auto& origin : other.origins()) dataset.appended.push_back(std::move(origin));
+  if (other.appended.empty()) other.begins = {0};
+  for (const std::size_t begin : other.begins) dataset.begins.push_back(dataset.examples.size() + begin);
+  Fingerprint f;
+  f.add(header.identity);
+  f.add(h.identity);
+  header.identity = f.hex();
+  std::move(other.examples.begin(), other.examples.end(), std::back_inserter(dataset.examples));
+}
+
+namespace {
+
+/// Examples of several files by the number of the file they belong in.
+std::map<std::int64_t, std::vector<fs::path>> canonical_files(const std::vector<fs::path>& folders,
+                                                              DatasetHeader& header) {
+  std::map<std::int64_t, std::vector<fs::path>> files;
+  bool first = true;
+  for (const auto& folder : folders) {
+    for (const auto& file : list_shards(folder)) {
+      const Shard shard = read_shard(file);
+      if (first) header = shard.header;
+      first = false;
+      require_same(file, shard.header, header);
+      std::set<std::int64_t> numbers;
+      for (const auto& e : shard.examples) numbers.insert(e.index / header.shard_examples);
+      for (const auto number : numbers) files[number].push_back(file);
+    }
+  }
+  if (first) refuse(folders.empty() ? fs::path("dataset") : folders.front(), "holds no dataset (no shard-*.h5)");
+  return files;
+}
+
+}  // namespace
+
+std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& to) {
+  DatasetHeader header;
+  const auto files = canonical_files(from, header);
+  fs::create_directories(to);
+  if (!list_shards(to).empty()) refuse(to, "holds a dataset already; merge into an empty folder");
+  for (const auto& [number, sources] : files) {
+    std::map<std::int64_t, Example> examples;
+    Shard merged;
+    merged.header = header;
+    for (const auto& source : sources) {
+      Shard shard = read_shard(source);
+      for (auto& e : shard.examples) {
+        if (e.index / header.shard_examples != number) continue;
+        const auto found = examples.find(e.index);
+        if (found == examples.end()) {
+          if (examples.empty()) merged.header = shard.header;
+          examples.emplace(e.index, std::move(e));
+        } else if (example_fingerprint(found->second) != example_fingerprint(e)) {
+          refuse(source,
+                 "example " + std::to_string(e.index) + " differs from the one of the same number in another folder");
+        }
+      }
+    }
+    for (auto& [index, e] : examples) merged.examples.push_back(std::move(e));
+    write_shard(to / shard_name(number), merged);
+  }
+  return static_cast<std::int64_t>(files.size());
+}
+
+std::array<std::int64_t, 3> split_dataset(const fs::path& from, const fs::path& to) {
+  const auto files = list_shards(from);
+  if (files.empty()) refuse(from, "holds no dataset (no shard-*.h5)");
+  std::array<std::int64_t, 3> counts{};
+  for (std::size_t s = 0; s < 3; ++s) {
+    const auto folder = to / kSplitNames[s];
+    fs::create_directories(folder);
+    if (!list_shards(folder).empty()) refuse(folder, "holds a dataset already; split into an empty folder");
+  }
+  for (const auto& file : files) {
+    Shard shard = read_shard(file);
+    for (std::size_t s = 0; s < 3; ++s) {
+      Shard part;
+      part.header = shard.header;
+      for (const auto& e : shard.examples) {
+        if (shard.header.split(e.index) == static_cast<Split>(s)) part.examples.push_back(e);
+      }
+      counts[s] += static_cast<std::int64_t>(part.examples.size());
+      if (!part.examples.empty()) write_shard(to / kSplitNames[s] / file.filename(), part);
+    }
+  }
+  return counts;
+}
+
+}  // namespace weft

@@ -1,0 +1,373 @@
+#include "loader/registry.hpp"
+
+#include <dlfcn.h>
+#include <link.h>
+
+#include <algorithm>
+#include <boost/dll/runtime_symbol_info.hpp>
+#include <boost/dll/shared_library.hpp>
+#include <cstdlib>
+#include <cstring>
+#include <map>
+#include <mutex>
+#include <set>
+#include <sstream>
+
+#include "weft/config.hpp"
+#include "weft/optimiser.hpp"
+#include "weft/plugin.hpp"
+#include "weft/predictor.hpp"
+#include "weft/simulator.hpp"
+#include "weft/trajectory.hpp"
+
+namespace weft {
+namespace {
+
+namespace fs = std::filesystem;
+namespace dll = boost::dll;
+
+using CreateFunction = void*(Host*, const ConfigNode*);
+using DestroyFunction = void(void*);
+using VisitFunction = void(ParamVisitor*);
+
+constexpr const char* kKinds[] = {"simulator", "predictor", "trajectory", "optimiser"};
+
+/// "./x", "/x" and "x.so" are files, anything else is a name.
+bool is_file_name(const std::string& name) {
+  return name.ends_with(".so") || name.starts_with("/") || name.starts_with("./") || name.starts_with("../");
+}
+
+std::string text_of(const char* chars, std::size_t size) { return std::string(chars, strnlen(chars, size)); }
+
+int interface_version(const std::string& kind) {
+  if (kind == Simulator::kKind) return Simulator::kVersion;
+  if (kind == Predictor::kKind) return Predictor::kVersion;
+  if (kind == Trajectory::kKind) return Trajectory::kVersion;
+  if (kind == Optimiser::kKind) return Optimiser::kVersion;
+  return -1;
+}
+
+/// Size of an exported object in its library's symbol table; 0 when unknown.
+std::size_t exported_size(const void* address) {
+  Dl_info info;
+  void* symbol = nullptr;
+  if (dladdr1(address, &info, &symbol, RTLD_DL_SYMENT) == 0 || symbol == nullptr) return 0;
+  return static_cast<const ElfW(Sym)*>(symbol)->st_size;
+}
+
+/// A library that passed every check that needs no C++ call.
+struct Library {
+  PluginEntry entry;
+  dll::shared_library handle;
+};
+
+/// @throws PluginError with the reason, both sides and the remedy.
+std::shared_ptr<const Library> open_library(const fs::path& file) {
+  const auto refuse = [&](const std::string& reason) -> void {
+    throw PluginError(file.string() + ": refused: " + reason);
+  };
+  std::error_code ignored;
+  if (!fs::exists(file, ignored)) refuse("no such file");
+  auto library = std::make_shared<Library>();
+  library->entry.file = file;
+  std::string detail;
+  try {
+    library->handle.load(boost::filesystem::path(file.string()), dll::load_mode::rtld_now | dll::load_mode::rtld_local);
+  } catch (const std::exception& failure) {
+    detail = failure.what();
+  }
+  if (!library->handle.is_loaded()) refuse("cannot be loaded as a shared library: " + detail);
+  for (const char* symbol :
+       {"weft_plugin_info", "weft_plugin_create", "weft_plugin_destroy", "weft_plugin_visit_params"}) {
+    if (!library->handle.has(symbol)) {
+      refuse(std::string("does not export ") + symbol +
+             "; export one plugin with WEFT_PLUGIN(...) from weft/plugin.hpp");
+    }
+  }
+  const auto& info = library->handle.get<const WeftPluginInfo>("weft_plugin_info");
+  if (exported_size(&info) != 0 && exported_size(&info) != sizeof(WeftPluginInfo)) {
+    refuse("weft_plugin_info has " + std::to_string(exported_size(&info)) + " bytes, this weft's has " +
+           std::to_string(sizeof(WeftPluginInfo)) + "; rebuild it with this weft's headers");
+  }
+  if (text_of(info.magic, sizeof(info.magic)) != "weftplu") {
+    refuse("weft_plugin_info does not start with the mark of weft; rebuild it with this weft's headers");
+  }
+  const std::string abi = text_of(info.abi_tag, sizeof(info.abi_tag));
+  if (abi != WEFT_ABI_TAG) {
+    refuse("built as '" + abi +
+           "', this weft is '" WEFT_ABI_TAG
+           "'; build it with weft_add_plugin() and the same compiler, Eigen and alignment");
+  }
+  library->entry.kind = text_of(info.kind, sizeof(info.kind));
+  library->entry.name = text_of(info.name, sizeof(info.name));
+  library->entry.version = text_of(info.version, sizeof(info.version));
+  const int ours = interface_version(library->entry.kind);
+  if (ours < 0) {
+    refuse("is of kind '" + library->entry.kind + "', must be simulator, predictor, trajectory or optimiser");
+  }
+  if (info.interface_version != ours) {
+    refuse("has interface version " + std::to_string(info.interface_version) + " of " + library->entry.kind +
+           ", this weft has " + std::to_string(ours) +
+           "; rebuild it with this weft's headers (MIGRATION.md says what changed)");
+  }
+  if (library->entry.name.empty()) refuse("has no name");
+  return library;
+}
+
+std::vector<fs::path> libraries_in(const fs::path& folder) {
+  std::vector<fs::path> files;
+  std::error_code error;
+  for (const auto& item : fs::directory_iterator(folder, error)) {
+    if (item.path().extension() == ".so") files.push_back(item.path());
+  }
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+}  // namespace
+
+struct PluginRegistry::Impl {
+  std::vector<fs::path> search_path;
+  mutable std::mutex mutex;
+  mutable std::map<fs::path, std::shared_ptr<const Library>> open;  // by canonical file
+  mutable std::map<fs::path, std::string> refused;
+  mutable std::map<std::string, PluginEntry> used;
+
+  std::shared_ptr<const Library> library(const fs::path& file) const {
+    std::error_code ignored;
+    const fs::path key = fs::weakly_canonical(file, ignored);
+    const std::lock_guard lock(mutex);
+    if (const auto found = open.find(key); found != open.end()) return found->second;
+    if (const auto found = refused.find(key); found != refused.end()) throw PluginError(found->second);
+    try {
+      return open[key] = open_library(file);
+    } catch (const PluginError& error) {
+      open.erase(key);
+      refused[key] = error.what();
+      throw;
+    }
+  }
+
+  std::shared_ptr<const Library> find(const std::string& wanted_kind, const std::string& name) const {
+    std::string refusal;
+    const auto fits = [&](const fs::path& file, bool named_so) -> std::shared_ptr<const Library> {
+      try {
+        const auto found = library(file);
+        if (found->entry.name == name && (wanted_kind.empty() || found->entry.kind == wanted_kind)) return found;
+      } catch (const PluginError& error) {
+        if (named_so) refusal = error.what();
+      }
+      return nullptr;
+    };
+    // weft_add_plugin() names a library after its plugin. A library so named after another plugin is looked into only
+    // when nothing else fits, because loading one can be slow.
+    std::vector<fs::path> named_after_others;
+    for (const auto& folder : search_path) {
+      for (const char* kind : kKinds) {
+        if (!wanted_kind.empty() && wanted_kind != kind) continue;
+        const fs::path file = folder / ("libweft_" + std::string(kind) + "_" + name + ".so");
+        std::error_code ignored;
+        if (!fs::exists(file, ignored)) continue;
+        if (const auto found = fits(file, true)) return found;
+      }
+      for (const auto& file : libraries_in(folder)) {
+        if (file.filename().string().starts_with("libweft_")) {
+          named_after_others.push_back(file);
+        } else if (const auto found = fits(file, false)) {
+          return found;
+        }
+      }
+    }
+    for (const auto& file : named_after_others) {
+      if (const auto found = fits(file, false)) return found;
+    }
+    if (!refusal.empty()) throw PluginError(refusal);
+    return nullptr;
+  }
+};
+
+PluginRegistry::PluginRegistry(std::vector<fs::path> search_path) : impl_(std::make_unique<Impl>()) {
+  impl_->search_path = std::move(search_path);
+  for (auto& folder : default_search_path()) impl_->search_path.push_back(std::move(folder));
+}
+PluginRegistry::~PluginRegistry() = default;
+
+std::vector<fs::path> PluginRegistry::default_search_path() {
+  std::vector<fs::path> folders;
+  if (const char* variable = std::getenv("WEFT_PLUGIN_PATH")) {
+    std::istringstream stream(variable);
+    for (std::string folder; std::getline(stream, folder, ':');) {
+      if (!folder.empty()) folders.emplace_back(folder);
+    }
+  }
+  // Beside libweft.so: <lib>/weft/plugins, in the build tree and after installation alike.
+  const fs::path here = dll::this_line_location().string();
+  folders.push_back(here.parent_path() / "weft" / "plugins");
+  return folders;
+}
+
+std::vector<PluginEntry> PluginRegistry::list() const {
+  std::vector<PluginEntry> good, bad;
+  std::set<std::string> seen;
+  for (const auto& folder : impl_->search_path) {
+    for (const auto& file : libraries_in(folder)) {
+      try {
+        const auto& entry = impl_->library(file)->entry;
+        if (seen.insert(entry.kind + "/" + entry.name).second) good.push_back(entry);
+      } catch (const PluginError& error) {
+        PluginEntry entry;
+        entry.file = file;
+        entry.refusal = error.what();
+        bad.push_back(entry);
+      }
+    }
+  }
+  std::sort(good.begin(), good.end(),
+            [](const auto& a, const auto& b) { return std::tie(a.kind, a.name) < std::tie(b.kind, b.name); });
+  good.insert(good.end(), bad.begin(), bad.end());
+  return good;
+}
+
+PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::string& kind) const {
+  const auto require_kind = [](const std::string& wanted) {
+    const std::vector<std::string> kinds(std::begin(kKinds), std::end(kKinds));
+    if (!wanted.empty() && std::find(kinds.begin(), kinds.end(), wanted) == kinds.end())
+      throw PluginError("'" + wanted + "' is no kind of plugin, must be " + one_of(kinds) +
+                        nearest_hint(wanted, kinds));
+  };
+  require_kind(kind);
+  if (is_file_name(name_or_file)) {
+    const auto& entry = impl_->library(name_or_file)->entry;
+    if (!kind.empty() && entry.kind != kind) {
+      throw PluginError(name_or_file + ": is a " + entry.kind + " plugin, wanted a " + kind);
+    }
+    return entry;
+  }
+  std::string wanted_kind = kind;
+  std::string name = name_or_file;
+  if (const auto slash = name.find('/'); slash != std::string::npos) {
+    wanted_kind = name.substr(0, slash);
+    name = name.substr(slash + 1);
+    require_kind(wanted_kind);
+  }
+  if (const auto found = impl_->find(wanted_kind, name)) return found->entry;
+  std::vector<std::string> known;
+  std::string searched;
+  for (const auto& entry : list()) {
+    if (entry.refusal.empty() && (wanted_kind.empty() || entry.kind == wanted_kind)) known.push_back(entry.name);
+  }
+  for (const auto& folder : impl_->search_path) searched += (searched.empty() ? "" : ", ") + folder.string();
+  throw PluginError("no " + (wanted_kind.empty() ? "plugin" : wanted_kind + " plugin") + " is called '" + name + "'" +
+                    nearest_hint(name, known) + " (searched " + searched + ")");
+}
+
+namespace {
+
+/// Calls into a library. What it throws is thrown again as an exception of the framework's own: one whose type lives in
+/// the library must not outlive the library.
+template <class Call>
+void guarded(const Library& library, const std::string& doing, Call&& call) {
+  const std::string what = library.entry.file.string() + ": " + doing + " " + library.entry.name + " failed: ";
+  try {
+    call();
+  } catch (const ConfigError& error) {
+    throw ConfigError(error.what());
+  } catch (const PluginError& error) {
+    throw PluginError(error.what());
+  } catch (const ShapeError& error) {
+    throw ShapeError(error.what());
+  } catch (const Unsupported& error) {
+    throw Unsupported(error.what());
+  } catch (const Diverged& error) {
+    throw Diverged(error.what());
+  } catch (const Error& error) {
+    throw Error(error.what());
+  } catch (const std::exception& error) {
+    throw PluginError(what + error.what());
+  } catch (...) {
+    throw PluginError(what + "it threw something that is no std::exception");
+  }
+}
+
+/// Runs a library's own declaration list through a visitor of ours.
+void visit_library(const Library& library, ParamVisitor& visitor) {
+  guarded(library, "reading the parameters of",
+          [&] { library.handle.get<VisitFunction>("weft_plugin_visit_params")(&visitor); });
+}
+void visit_erased(void* library, ParamVisitor& visitor) {
+  visit_library(*static_cast<const Library*>(library), visitor);
+}
+
+}  // namespace
+
+std::vector<ParamInfo> PluginRegistry::params(const PluginEntry& entry) const {
+  const auto library = impl_->library(entry.file);
+  return describe_params_erased(const_cast<Library*>(library.get()), visit_erased);
+}
+
+ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& slot) const {
+  ConfigNode given_name = slot;
+  ConfigNode params, version;
+  if (!slot.is_scalar()) {
+    slot.refuse_unknown_keys({"plugin", "params", "version"});
+    given_name = slot.at("plugin");
+    params = slot.find("params").value_or(ConfigNode());
+    version = slot.find("version").value_or(ConfigNode());
+  }
+  std::string name = given_name.as_string();
+  if (is_file_name(name)) name = fs::absolute(given_name.as_path()).lexically_normal().string();
+  const std::string where = given_name.where() + ": " + (given_name.path().empty() ? kind : given_name.path());
+  PluginEntry entry;
+  try {
+    entry = find(name, kind);
+  } catch (const PluginError& error) {
+    throw PluginError(where + ": " + error.what());
+  }
+  if (!version.is_null() && version.as_string() != entry.version) {
+    throw PluginError(version.where() + ": " + version.path() + " = " + version.as_string() + ", but " +
+                      entry.file.string() + " is " + name + " " + entry.version);
+  }
+  const auto library = impl_->library(entry.file);
+  ConfigNode resolved = read_params_erased(params, const_cast<Library*>(library.get()), visit_erased);
+  for (const auto& info : this->params(entry)) {
+    if (!info.type.ends_with(" plugin")) continue;
+    ConfigNode nested = resolved;
+    for (std::size_t begin = 0; begin < info.name.size();) {
+      const auto end = std::min(info.name.find('.', begin), info.name.size());
+      nested = nested.at(info.name.substr(begin, end - begin));
+      begin = end + 1;
+    }
+    if (!nested.is_null()) {
+      resolved = resolved.with(info.name, resolve(info.type.substr(0, info.type.find(' ')), nested));
+    }
+  }
+  {
+    const std::lock_guard lock(impl_->mutex);
+    impl_->used[entry.kind + "/" + entry.name] = entry;
+  }
+  // The name rather than the file, unless a file was asked for: a saved config then runs on another machine.
+  return ConfigNode::mapping({{"plugin", ConfigNode::quoted(name)}, {"params", resolved}});
+}
+
+std::shared_ptr<void> PluginRegistry::create(const std::string& kind, const ConfigNode& slot, Host& host) const {
+  const ConfigNode resolved = resolve(kind, slot);
+  const auto library = impl_->library(find(resolved.at("plugin").as_string(), kind).file);
+  const ConfigNode params = resolved.at("params");
+  void* object = nullptr;
+  guarded(*library, "creating",
+          [&] { object = library->handle.get<CreateFunction>("weft_plugin_create")(&host, &params); });
+  if (object == nullptr) {
+    throw PluginError(library->entry.file.string() + ": creating " + library->entry.name +
+                      " failed: it returned nothing");
+  }
+  return {object, [library](void* dying) { library->handle.get<DestroyFunction>("weft_plugin_destroy")(dying); }};
+}
+
+std::vector<PluginEntry> PluginRegistry::used() const {
+  const std::lock_guard lock(impl_->mutex);
+  std::vector<PluginEntry> entries;
+  for (const auto& [key, entry] : impl_->used) entries.push_back(entry);
+  return entries;
+}
+
+}  // namespace weft

@@ -1,0 +1,49 @@
+#pragma once
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "weft/host.hpp"
+#include "weft/params.hpp"
+
+namespace weft {
+
+/// One library that was found on the search path: what it is, or why it was refused.
+struct PluginEntry {
+  std::filesystem::path file;
+  std::string kind, name, version;
+  std::string refusal;  ///< empty: it loads
+};
+
+/// Finds plugins: `plugin_path` of the config, then WEFT_PLUGIN_PATH, then the build or install folder. The first
+/// library of a kind and name wins. Libraries stay loaded while an object of theirs, or this registry's own handle,
+/// lives. Thread-safe.
+class PluginRegistry {
+ public:
+  explicit PluginRegistry(std::vector<std::filesystem::path> search_path = {});
+  ~PluginRegistry();
+  static std::vector<std::filesystem::path> default_search_path();
+
+  /// Everything on the search path, sorted by kind and name; refused libraries last.
+  std::vector<PluginEntry> list() const;
+  /// The entry of a name ("arc" or "trajectory/arc") or of a library file. @throws PluginError naming the nearest one,
+  /// both sides of a refusal, and the remedy.
+  PluginEntry find(const std::string& name_or_file, const std::string& kind = "") const;
+  std::vector<ParamInfo> params(const PluginEntry& entry) const;
+
+  /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default; nested slots too. Creates
+  /// nothing.
+  /// @throws ConfigError, PluginError.
+  ConfigNode resolve(const std::string& kind, const ConfigNode& slot) const;
+  /// The object's deleter keeps the library loaded.
+  std::shared_ptr<void> create(const std::string& kind, const ConfigNode& slot, Host& host) const;
+  /// Names and versions of every plugin that a resolved config uses.
+  std::vector<PluginEntry> used() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace weft

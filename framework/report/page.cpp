@@ -1,0 +1,354 @@
+#include "report/page.hpp"
+
+#include <zlib.h>
+
+#include <algorithm>
+#include <boost/dll/runtime_symbol_info.hpp>
+#include <cmath>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <nlohmann/json.hpp>
+
+#include "weft/hdf5_file.hpp"
+#include "weft/simulator.hpp"
+
+namespace weft {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::ordered_json;
+
+// What the template holds where data goes; apps/report/build.mjs writes the same.
+constexpr const char* kPlaceholder = "<!--weft-data-->";
+// Finest step of quantised positions, m. A step of 0.05 mm is far below what a page can show, and compresses well.
+constexpr double kStep = 5e-5;
+constexpr double kCoarseStep = 2e-4;  // where nothing is measured on the shape, and there are hundreds
+
+std::string base64(const std::string& bytes) {
+  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string text;
+  text.reserve((bytes.size() + 2) / 3 * 4);
+  for (std::size_t i = 0; i < bytes.size(); i += 3) {
+    std::uint32_t word = 0;
+    const std::size_t count = std::min<std::size_t>(3, bytes.size() - i);
+    for (std::size_t k = 0; k < 3; ++k) word = word << 8 | (k < count ? static_cast<unsigned char>(bytes[i + k]) : 0u);
+    for (std::size_t k = 0; k < 4; ++k) text += k <= count ? kDigits[word >> (18 - 6 * k) & 63] : '=';
+  }
+  return text;
+}
+
+/// The data of a page: a JSON text, and arrays that it names by {array, type, shape, step}. An array is stored as its
+/// elements' bytes by significance (all lowest bytes, then all second bytes, ...), deflated, in base64. Rows of int16
+/// and int32 arrays after the first are differences to the row before, modulo 2^16 or 2^32.
+class PageData {
+ public:
+  ordered_json json = {{"schema", "weft report 1"}};
+
+  /// [rows.size(), V, 3], as int16 multiples of `finest` or, where coordinates are large, of more.
+  ordered_json shapes(const std::vector<Positions>& rows, double finest = kStep) {
+    double largest = 0.0;
+    for (const auto& row : rows) largest = std::max(largest, row.size() > 0 ? row.cwiseAbs().maxCoeff() : 0.0);
+    const double step = std::max(finest, largest / 32767.0);
+    std::vector<std::uint16_t> values, before;
+    for (const auto& row : rows) {
+      std::vector<std::uint16_t> now(static_cast<std::size_t>(row.size()));
+      for (std::size_t i = 0; i < now.size(); ++i) {
+        now[i] = static_cast<std::uint16_t>(static_cast<std::int16_t>(std::lround(row.data()[i] / step)));
+      }
+      append_difference(values, now, before);
+      before = std::move(now);
+    }
+    const Index vertices = rows.empty() ? 0 : rows.front().rows();
+    return store("i16", {static_cast<Index>(rows.size()), vertices, 3}, values, step);
+  }
+  ordered_json faces(const Faces& faces) {
+    std::vector<std::uint32_t> values, before;
+    for (Index f = 0; f < faces.rows(); ++f) {
+      std::vector<std::uint32_t> now(faces.row(f).begin(), faces.row(f).end());
+      append_difference(values, now, before);
+      before = std::move(now);
+    }
+    return store("i32", {faces.rows(), 3}, values, 1.0);
+  }
+  ordered_json matrix(const Controls& matrix) {
+    std::vector<std::uint32_t> values(static_cast<std::size_t>(matrix.size()));
+    const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> single = matrix.cast<float>();
+    if (!values.empty()) std::memcpy(values.data(), single.data(), values.size() * sizeof(float));
+    return store("f32", {matrix.rows(), matrix.cols()}, values, 1.0);
+  }
+
+  /// The template with the data in its place.
+  std::string fill(const std::string& page_template) const {
+    const auto place = page_template.find(kPlaceholder);
+    if (place == std::string::npos)
+      throw ConfigError("report template: has no place for data; it is no template of weft");
+    std::string text = json.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
+    for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos;) text.replace(at, 1, "\\u003c");
+    std::string data = "<script type=\"application/json\" id=\"weft-data\">" + text + "</script>\n";
+    for (std::size_t i = 0; i < arrays_.size(); ++i) {
+      data += "<script type=\"text/plain\" id=\"weft-array-" + std::to_string(i) + "\">" + arrays_[i] + "</script>\n";
+    }
+    std::string page = page_template;
+    return page.replace(place, std::strlen(kPlaceholder), data);
+  }
+
+ private:
+  template <class Word>
+  static void append_difference(std::vector<Word>& values, const std::vector<Word>& now,
+                                const std::vector<Word>& before) {
+    for (std::size_t i = 0; i < now.size(); ++i)
+      values.push_back(static_cast<Word>(now[i] - (before.empty() ? 0 : before[i])));
+  }
+  template <class Word>
+  ordered_json store(const char* type, const std::vector<Index>& shape, const std::vector<Word>& values, double step) {
+    std::string planes;
+    planes.reserve(values.size() * sizeof(Word));
+    for (std::size_t byte = 0; byte < sizeof(Word); ++byte) {
+      for (const Word value : values) planes += static_cast<char>(value >> (8 * byte) & 0xff);
+    }
+    uLongf size = compressBound(planes.size());
+    std::string packed(size, '\0');
+    if (compress2(reinterpret_cast<Bytef*>(packed.data()), &size, reinterpret_cast<const Bytef*>(planes.data()),
+                  planes.size(), 9) != Z_OK) {
+      throw Error("report: an array cannot be compressed");
+    }
+    packed.resize(size);
+    arrays_.push_back(base64(packed));
+    return {{"array", arrays_.size() - 1}, {"type", type}, {"shape", shape}, {"step", step}};
+  }
+  std::vector<std::string> arrays_;
+};
+
+ordered_json list(const auto& values) { return std::vector<double>(values.data(), values.data() + values.size()); }
+
+ordered_json knowledge_json(const MaterialKnowledge& knowledge) {
+  return {{"centre", list(knowledge.centre)}, {"width", list(knowledge.width)}};
+}
+
+ordered_json rows_of(const Controls& matrix) {
+  auto rows = ordered_json::array();
+  for (Index i = 0; i < matrix.rows(); ++i) rows.push_back(list(Vector(matrix.row(i).transpose())));
+  return rows;
+}
+
+ordered_json parse_json(const std::string& text, const std::string& name) {
+  try {
+    return ordered_json::parse(text);
+  } catch (const ordered_json::exception& error) {
+    throw ConfigError(name + ": is no JSON: " + error.what());
+  }
+}
+
+std::string read_text(const fs::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  std::string text{std::istreambuf_iterator<char>(stream), {}};
+  if (!stream) throw ConfigError(file.string() + ": cannot be read");
+  return text;
+}
+
+/// What round r predicted for every segment that was then executed: mean vertex distance, mean predicted distance
+/// (root of the summed variances, averaged over vertices), and the share of coordinates within one sigma.
+ordered_json compare_prediction(const SessionRecord& session, std::size_t r) {
+  const auto& round = session.rounds[r];
+  ordered_json error = ordered_json::array(), sigma = ordered_json::array(), inside = ordered_json::array();
+  for (std::size_t j = 0; j < round.mean.size(); ++j) {
+    if (j < round.sigma.size()) sigma.push_back(1000.0 * round.sigma[j].rowwise().norm().mean());
+    if (r + j >= session.rounds.size()) continue;
+    const auto& truth = session.shape_after(static_cast<Index>(r + j));
+    error.push_back(mean_distance_mm(round.mean[j], truth));
+    if (j < round.sigma.size()) {
+      const Positions distance = (round.mean[j] - truth).cwiseAbs();
+      inside.push_back((distance.array() <= round.sigma[j].array()).cast<double>().mean());
+    }
+  }
+  return {{"error_mm", error}, {"sigma_mm", sigma}, {"coverage_1sigma", inside}};
+}
+
+ordered_json garment_json(PageData& page, const std::string& name, const Faces& faces, Index vertices) {
+  return {{"name", name}, {"vertices", vertices}, {"faces", page.faces(faces)}};
+}
+
+constexpr const char* kExperiments[] = {"planning", "estimation", "prediction", "physics", "ablation"};
+
+/// cases.h5: what the cases of an experiment came to, for those that the page shows.
+void add_cases(PageData& page, const fs::path& path) {
+  const auto file = Hdf5File::open(path);
+  const auto fail = [&](const std::string& what, const std::string& message) {
+    throw ConfigError(path.string() + ": " + what + " " + message);
+  };
+  const auto corners = file.read_int("/garment/faces");
+  if (corners.size() % 3 != 0) fail("/garment/faces", "must have the shape [n, 3]");
+  const Index vertices = file.shape("/garment/rest").at(0);
+  for (const auto corner : corners) {
+    if (corner < 0 || corner >= vertices) fail("/garment/faces", "names a vertex that is none");
+  }
+  Faces faces(static_cast<Index>(corners.size() / 3), 3);
+  std::copy(corners.begin(), corners.end(), faces.data());
+  page.json["garment"] = garment_json(page, file.read_text("/garment/name"), faces, vertices);
+  const auto read_shapes = [&](const std::string& what) {
+    const auto dims = file.shape(what);
+    if (dims.size() != 3 || dims[1] != vertices || dims[2] != 3)
+      fail(what, "must have the shape [n, " + std::to_string(vertices) + ", 3]");
+    const auto values = file.read(what);
+    for (const double value : values) {
+      if (!std::isfinite(value)) fail(what, "holds a number that is not finite");
+    }
+    std::vector<Positions> rows;
+    for (Index i = 0; i < dims[0]; ++i)
+      rows.push_back(Eigen::Map<const Positions>(values.data() + i * vertices * 3, vertices, 3));
+    return rows;
+  };
+  for (const std::string name : kExperiments) {
+    const std::string group = "/" + name;
+    if (!page.json.contains(name) || !file.has(group)) continue;
+    if (file.has(group + "/shapes")) {
+      const auto shapes = read_shapes(group + "/shapes");
+      const auto first = file.read_int(group + "/first");
+      if (first.empty() || first.front() != 0 || first.back() != static_cast<std::int64_t>(shapes.size()) ||
+          !std::is_sorted(first.begin(), first.end()))
+        fail(group + "/first", "must rise from 0 to the number of shapes");
+      ordered_json sequences = ordered_json::array();
+      for (std::size_t i = 0; i + 1 < first.size(); ++i) {
+        const std::vector<Positions> one(shapes.begin() + first[i], shapes.begin() + first[i + 1]);
+        sequences.push_back(one.empty() ? ordered_json() : page.shapes(one, kCoarseStep));
+      }
+      page.json["shapes"][name] = {{"sequences", sequences}};
+      continue;
+    }
+    const auto goals = read_shapes(group + "/goals");
+    const auto finals = read_shapes(group + "/finals");
+    const auto goal_of = file.read_int(group + "/goal_of");
+    if (goal_of.size() != finals.size()) fail(group + "/goal_of", "must have one entry per final shape");
+    // One array per shape, since a page decodes those that are looked at; what is left of the distance to the goal,
+    // since small numbers compress well.
+    ordered_json goal_list = ordered_json::array(), offset_list = ordered_json::array();
+    for (const auto& goal : goals) goal_list.push_back(page.shapes({goal}));
+    for (std::size_t i = 0; i < finals.size(); ++i) {
+      if (goal_of[i] < 0 || goal_of[i] >= static_cast<std::int64_t>(goals.size()))
+        fail(group + "/goal_of", "names a goal that is none");
+      offset_list.push_back(page.shapes({finals[i] - goals[static_cast<std::size_t>(goal_of[i])]}));
+    }
+    page.json["shapes"][name] = {{"goals", goal_list}, {"offsets", offset_list}, {"goal_of", goal_of}};
+  }
+}
+
+}  // namespace
+
+Hdf5File create_cases_file(const fs::path& path, const Garment& garment) {
+  auto file = Hdf5File::create(path);
+  file.write("/garment/name", garment.name);
+  file.write("/garment/rest", garment.rest);
+  const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = garment.faces.cast<std::int64_t>();
+  file.write("/garment/faces", faces);
+  return file;
+}
+
+void write_shapes(Hdf5File& file, const std::string& path, const std::vector<Positions>& shapes) {
+  const Index vertices = shapes.empty() ? 0 : shapes.front().rows();
+  std::vector<float> values;
+  for (const auto& shape : shapes) {
+    for (Index i = 0; i < shape.size(); ++i) values.push_back(static_cast<float>(shape.data()[i]));
+  }
+  file.write(path, {static_cast<Index>(shapes.size()), vertices, 3}, values.data());
+}
+
+ReportTemplate find_report_template() {
+  if (const char* given = std::getenv("WEFT_REPORT_TEMPLATE")) {
+    if (fs::is_regular_file(given)) return {read_text(given), ""};
+    return {"", std::string("WEFT_REPORT_TEMPLATE names ") + given + ", which is no file"};
+  }
+  // <prefix>/share/weft/report, seen from <prefix>/lib or <prefix>/lib/<multiarch>.
+  fs::path folder = fs::path(boost::dll::this_line_location().string()).parent_path();
+  for (int level = 0; level < 3 && folder.has_relative_path(); ++level) {
+    folder = folder.parent_path();
+    const fs::path share = folder / "share" / "weft" / "report";
+    if (fs::is_regular_file(share / "report.html")) return {read_text(share / "report.html"), ""};
+    if (fs::is_regular_file(share / "why-not.txt")) {
+      std::string reason = read_text(share / "why-not.txt");
+      reason.resize(reason.find_last_not_of(" \n") + 1);
+      return {"", reason};
+    }
+  }
+  return {"", "this build of weft holds no page template (node and npm were missing when it was configured)"};
+}
+
+std::string session_page(const std::string& page_template, const SessionRecord& session) {
+  PageData page;
+  auto& json = page.json;
+  json["kind"] = "session";
+  json["summary"] = parse_json(session.summary, "summary of the session");
+  json["provenance"] = parse_json(session.provenance, "provenance of the session");
+  json["config"] = session.config;
+  json["properties"] = kPropertyNames;
+  json["garment"] = garment_json(page, session.garment_name, session.faces, session.vertex_count());
+  json["garment"]["held"] = session.grasp_vertices;
+  if (!session.trajectory.empty()) json["trajectory"] = parse_json(session.trajectory, "trajectory of the session");
+  auto& data = json["session"];
+  data["frames_per_segment"] = kFramesPerSegment;
+  data["frame_seconds"] = kFrameSeconds;
+  data["released"] = session.released();
+  data["release_frame"] = session.segment_frame(session.segments());
+  data["true_material"] = list(session.true_material);
+  data["start_error_mm"] = mean_distance_mm(session.start, session.goal);
+  data["frames"] = page.shapes(session.frames);
+  data["goal"] = page.shapes({session.goal});
+  data["default_shape"] = page.shapes({session.default_shape});
+  data["rounds"] = ordered_json::array();
+  for (std::size_t r = 0; r < session.rounds.size(); ++r) {
+    const auto& round = session.rounds[r];
+    ordered_json entry;
+    entry["controls"] = rows_of(round.controls);
+    entry["state"] = list(round.state);
+    entry["knowledge"] = knowledge_json(round.knowledge);
+    entry["error_mm"] = mean_distance_mm(session.shape_after(static_cast<Index>(r)), session.goal);
+    entry["prediction"] = compare_prediction(session, r);
+    entry["losses"] = list(round.losses);
+    entry["curves"] = page.matrix(round.curves);
+    entry["mean"] = page.shapes(round.mean);
+    entry["sigma"] = page.shapes(round.sigma);
+    entry["targets"] = page.shapes(round.targets);
+    data["rounds"].push_back(std::move(entry));
+  }
+  if (!session.estimates.empty()) {
+    data["estimates"] = ordered_json::array();
+    data["estimates"].push_back(knowledge_json(MaterialKnowledge::none()));
+    for (const auto& estimate : session.estimates) data["estimates"].push_back(knowledge_json(estimate));
+  }
+  return page.fill(page_template);
+}
+
+std::string experiment_page(const std::string& page_template, const fs::path& folder) {
+  PageData page;
+  auto& json = page.json;
+  json["kind"] = fs::exists(folder / "ablation.json") ? "ablation" : "evaluation";
+  json["properties"] = kPropertyNames;
+  if (fs::exists(folder / "provenance.json")) {
+    json["provenance"] = parse_json(read_text(folder / "provenance.json"), (folder / "provenance.json").string());
+  }
+  if (fs::exists(folder / "config.yaml")) json["config"] = read_text(folder / "config.yaml");
+  for (const std::string name : kExperiments) {
+    const fs::path file = folder / (name + ".json");
+    if (fs::exists(file)) json[name] = parse_json(read_text(file), file.string());
+  }
+  if (fs::exists(folder / "cases.h5")) add_cases(page, folder / "cases.h5");
+  return page.fill(page_template);
+}
+
+std::string write_report(const fs::path& folder) {
+  const auto found = find_report_template();
+  if (found.text.empty()) return found.reason;
+  const fs::path session = folder / "session.h5";
+  const std::string page =
+      fs::exists(session) ? session_page(found.text, read_session(session)) : experiment_page(found.text, folder);
+  const fs::path file = folder / "report.html";
+  const fs::path temporary = file.string() + ".tmp";
+  std::ofstream stream(temporary, std::ios::binary);
+  stream << page;
+  stream.close();
+  if (!stream) throw Error(file.string() + ": cannot be written");
+  fs::rename(temporary, file);
+  return "";
+}
+
+}  // namespace weft

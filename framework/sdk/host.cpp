@@ -1,0 +1,7 @@
+#include "weft/host.hpp"
+
+namespace weft {
+
+Host::~Host() = default;
+
+}  // namespace weft

@@ -1,0 +1,70 @@
+#pragma once
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "weft/host.hpp"
+#include "weft/simulator.hpp"
+
+namespace weft {
+
+/// Vertices held from the first keyframe's time on. Targets lie `offset` from where each vertex was when it was taken
+/// hold of, linear between keyframes and constant after the last.
+struct SceneGrasp {
+  struct Keyframe {
+    double time = 0.0;           ///< s, ascending
+    Vec3 offset = Vec3::Zero();  ///< m
+  };
+  std::vector<Index> vertices;
+  std::vector<Keyframe> keyframes;
+  std::optional<double> release;  ///< s; nullopt: held to the end
+
+  Vec3 offset_at(double time) const;
+};
+
+/// A scene file (docs/file-formats.md): one simulator, one mesh, a world and scripted hands.
+struct SceneRun {
+  ConfigNode simulator;  ///< {plugin, params}
+  std::shared_ptr<const Garment> garment;
+  Fabric fabric;
+  Scene scene;
+  std::vector<SceneGrasp> grasps;
+  double duration = 0.0;  ///< s
+  Index output_every_frames = 12;
+  std::uint64_t seed = 0;
+
+  /// Frames to simulate: the duration rounded up to whole frames.
+  Index frames() const;
+};
+
+/// Reads and checks a whole scene; no plugin is loaded. @throws ConfigError with file, line and key.
+SceneRun read_scene(const ConfigNode& config);
+/// The scene as a mapping that read_scene reads back to the same run; the garment is named `garment_file`.
+ConfigNode write_scene(const SceneRun& run, const std::string& garment_file);
+
+struct SceneResult {
+  Index frames = 0;                   ///< simulated
+  std::vector<double> frame_seconds;  ///< wall time of each frame
+  Positions positions;                ///< [V, 3] m, at the end
+  double max_speed = 0.0;             ///< m/s, at the end
+  double max_strain = 0.0;            ///< largest over the whole run, at frame ends
+  double final_strain = 0.0;          ///< at the end
+  double max_grasp_strain = 0.0;      ///< largest over the run
+  Index intersections = 0;            ///< edge/triangle, at the end
+  std::vector<std::string> warnings;
+  bool cancelled = false;
+};
+
+/// Called after every frame (and for frame 0), for output and progress.
+using SceneObserver = std::function<void(const Simulator& simulator, Index frame)>;
+
+/// Runs the scene. A grasp begins at the first frame boundary at or after its first keyframe, and ends likewise.
+/// @throws ConfigError, PluginError before any work; Diverged naming the frame.
+SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer = {});
+
+/// summary.json: the keys of docs/file-formats.md.
+std::string scene_summary_json(const SceneRun& run, const SceneResult& result);
+
+}  // namespace weft

@@ -1,0 +1,57 @@
+#include "simulation/task_config.hpp"
+
+#include <cmath>
+
+#include "weft/config.hpp"
+
+namespace weft {
+
+Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
+  Task task;
+  task.garment =
+      std::make_shared<const Garment>(read_garment(params.garment.is_null() ? origin.at("garment") : params.garment));
+  task.material = read_material_space(params.material.is_null() ? origin.at("material") : params.material);
+  task.trajectory = host.create<Trajectory>(params.trajectory);
+  task.simulator = params.simulator;
+  task.settle = {params.settle.speed_m_per_s, params.settle.hold_frames, params.settle.max_frames};
+  if (params.scene.gravity_m_per_s2.size() != 3)
+    must_be(place(origin, "scene.gravity_m_per_s2"), "a list of 3 numbers, m/s^2");
+  task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
+
+  auto& manipulation = task.manipulation;
+  if (static_cast<Index>(params.manipulation.grasp.size()) != task.trajectory->hands()) {
+    const auto hands = std::to_string(task.trajectory->hands());
+    must_be(place(origin, "manipulation.grasp"), hands + " named vertices: the trajectory drives " + hands + " hands");
+  }
+  manipulation.grasp_points.resize(task.trajectory->hands(), 3);
+  for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {
+    manipulation.grasp_vertices.push_back(blaming(place(origin, "manipulation.grasp." + std::to_string(i)),
+                                                  [&] { return task.garment->vertex(params.manipulation.grasp[i]); }));
+    manipulation.grasp_points.row(static_cast<Index>(i)) =
+        task.garment->positions.row(manipulation.grasp_vertices.back());
+  }
+  const ConfigNode displacement = place(origin, "manipulation.displacement_m");
+  const std::string remedy = "; it gives the direction of the fold, and `weft displacement` tunes its length";
+  if (params.manipulation.displacement_m.size() != 2) must_be(displacement, "a list of 2 numbers, m" + remedy);
+  manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
+  manipulation.drop_height = params.manipulation.drop_height_m;
+  // One path for every fabric: the targets clear the ground under the thickest one.
+  const auto& thickness = task.material.ranges[3];
+  manipulation.contact_height = task.scene.ground_height.value_or(0.0) + std::max(thickness.low, thickness.high);
+  manipulation.grasp_points.col(2).setConstant(manipulation.contact_height);
+  try {
+    task.trajectory->initial_state(manipulation);  // refuses |d| = 0 and the like here, before any work
+  } catch (const ConfigError& error) {
+    fail_because(displacement, error.what() + remedy);
+  }
+  return task;
+}
+
+void check_simulator(const ConfigNode& slot, const Task& task, Host& host) {
+  const auto simulator = host.create<Simulator>(slot);
+  simulator->reset(task.garment, task.material.at(MaterialProperties::Constant(0.5)), task.scene);
+  const std::string warning = simulator->diagnostics().warning;
+  if (!warning.empty()) host.log(LogLevel::warning, warning + " (fabric in the middle of its range)");
+}
+
+}  // namespace weft

@@ -1,0 +1,258 @@
+#pragma once
+// The network on libtorch, and the batches of examples that go through it: what training and calibration share. Only
+// for the training library.
+#include <ATen/ATen.h>
+#include <ATen/Parallel.h>
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "../inputs.hpp"
+#include "../network.hpp"
+#include "../sampling.hpp"
+#include "weft/host.hpp"
+
+namespace weft::emd {
+
+using at::Tensor;
+
+inline Tensor view(const float* data, Index rows, Index columns) {
+  return at::from_blob(const_cast<float*>(data), {rows, columns}, at::TensorOptions().dtype(at::kFloat));
+}
+
+/// The network as tensors: the same formulas as Network (network.cpp), left to autograd.
+class Graph {
+ public:
+  Graph(const Model& model, const float* weights, float* gradients)
+      : arch_(model.architecture), layout_(arch_, model.dimensions), z_(model.latent_size()) {
+    for (const auto& w : layout_.weights) {
+      Tensor t = view(weights + w.offset, w.rows, w.columns);
+      if (gradients != nullptr) {
+        t.set_requires_grad(true);
+        t.mutable_grad() = view(gradients + w.offset, w.rows, w.columns);  // autograd adds in place
+      }
+      weights_.push_back(t);
+    }
+    if (model.needs_basis()) {
+      const Tensor basis = view(model.basis.data(), model.dimensions.coordinates(), arch_.latent);
+      const Tensor scale = view(model.scale.data(), 1, arch_.latent);
+      project_ = basis / scale;
+      expand_ = (basis * scale).t().contiguous();
+    }
+  }
+
+  struct Output {
+    Tensor mean;       ///< [wanted, coordinates]
+    Tensor log_sigma;  ///< raw: before the upper limit and the floor
+    Tensor hidden;     ///< [wanted, decoder_hidden]: g, what both layers see
+  };
+  /// @param running rows of each segment.
+  /// @param columns coordinates to decode; undefined: all.
+  Output forward(const Tensor& shape, const Tensor& change, const Tensor& inputs, const std::vector<Index>& running,
+                 const std::vector<Block::Wanted>& wanted, const Tensor& columns = {}) const {
+    const auto some = [&](const Tensor& all) { return columns.defined() ? at::index_select(all, 1, columns) : all; };
+    Tensor e = at::addmm(w(layout_.encoder_bias), shape, w(layout_.encoder_shape));
+    if (arch_.previous_shape) {
+      e = e + at::mm(at::mm(change, project_) * kVelocityGain, w(layout_.encoder_velocity));
+    }
+    Tensor z = at::addmm(w(layout_.encoder_out_bias), f(e), w(layout_.encoder_out));
+    if (arch_.pca_skip) z = z + at::constant_pad_nd(at::mm(shape, project_), {0, arch_.memory});
+    z = normalise(z);
+    const Tensor start = z;
+    std::vector<Tensor> contributions;
+    for (const auto& layer : layout_.layers) {
+      contributions.push_back(layer.u < 0 ? Tensor() : at::addmm(w(layer.b), inputs, w(layer.u)));
+    }
+    const Tensor out_contribution =
+        layout_.out.u < 0 ? Tensor() : at::addmm(w(layout_.out.b), inputs, w(layout_.out.u));
+    std::vector<Tensor> boundaries{z};
+    Index offset = 0;
+    for (const Index m : running) {
+      const Tensor before = z.size(0) == m ? z : z.narrow(0, 0, m);
+      Tensor h = before;
+      std::vector<Tensor> outputs;
+      for (std::size_t l = 0; l < layout_.layers.size(); ++l) {
+        const auto& layer = layout_.layers[l];
+        const Tensor added = layer.u < 0 ? w(layer.b) : contributions[l].narrow(0, offset, m);
+        h = f(at::addmm(added, h, w(layer.h)));
+        if (arch_.residual > 0 && l > 0) {
+          h = h + outputs[static_cast<std::size_t>(
+                      std::max<std::int64_t>(static_cast<std::int64_t>(l) - arch_.residual, 0))];
+        }
+        outputs.push_back(h);
+      }
+      Tensor dz =
+          at::addmm(layout_.out.u < 0 ? w(layout_.out.b) : out_contribution.narrow(0, offset, m), h, w(layout_.out.h));
+      z = normalise(arch_.differential_latent ? before + dz : dz);
+      boundaries.push_back(z);
+      offset += m;
+    }
+    std::vector<Tensor> codes;
+    std::vector<std::int64_t> of_row;
+    // One index_select over all boundaries keeps the graph small.
+    std::vector<std::int64_t> first(boundaries.size(), 0);
+    for (std::size_t j = 1; j < boundaries.size(); ++j) first[j] = first[j - 1] + boundaries[j - 1].size(0);
+    std::vector<std::int64_t> places;
+    for (const auto& one : wanted) {
+      places.push_back(first[static_cast<std::size_t>(one.step)] + one.row);
+      of_row.push_back(one.row);
+    }
+    const Tensor code = at::index_select(at::cat(boundaries), 0, at::tensor(places));
+    const Tensor g = f(at::addmm(w(layout_.decoder_bias), code, w(layout_.decoder_in)));
+    Output out;
+    out.hidden = g;
+    out.log_sigma = at::addmm(some(w(layout_.sigma_bias)), g, some(w(layout_.sigma)));
+    Tensor latent = code.narrow(1, 0, arch_.latent);
+    if (arch_.differential_decoding) {
+      const Tensor rows = at::tensor(of_row);
+      const Tensor g0 = f(at::addmm(w(layout_.decoder_bias), start, w(layout_.decoder_in)));
+      out.mean =
+          at::addmm(at::index_select(some(shape), 0, rows), g - at::index_select(g0, 0, rows), some(w(layout_.mean)));
+      latent = latent - at::index_select(start, 0, rows).narrow(1, 0, arch_.latent);
+    } else {
+      out.mean = at::addmm(some(w(layout_.mean_bias)), g, some(w(layout_.mean)));
+    }
+    if (arch_.pca_skip) out.mean = at::addmm(out.mean, latent, some(expand_));
+    return out;
+  }
+
+ private:
+  const Tensor& w(int i) const { return weights_[static_cast<std::size_t>(i)]; }
+  Tensor f(const Tensor& x) const { return arch_.activation == "tanh" ? at::tanh(x) : at::silu(x); }
+  Tensor normalise(const Tensor& a) const {
+    const auto unit = [](const Tensor& x) { return x * at::rsqrt(at::sum(x * x, {1}, true) + 1.0); };
+    if (arch_.latent_normalisation == "all") return unit(a);
+    if (arch_.latent_normalisation == "none" || arch_.memory == 0) return a;
+    return at::cat({a.narrow(1, 0, arch_.latent), unit(a.narrow(1, arch_.latent, arch_.memory))}, 1);
+  }
+
+  Architecture arch_;
+  Layout layout_;
+  Index z_;
+  std::vector<Tensor> weights_;
+  Tensor project_, expand_;
+};
+
+/// Sub-sequences for one pass, rows by descending length.
+struct Batch {
+  std::vector<float> shape, change, inputs, target;
+  std::vector<Index> running;
+  std::vector<Block::Wanted> wanted;
+  std::vector<std::int64_t> columns;  ///< coordinates that enter the loss, ascending; empty: all
+  Index rows = 0;
+};
+
+/// Sub-sequences of a dataset's examples on their way through a model's network.
+class Passes {
+ public:
+  /// Keeps references to all of them.
+  Passes(const Dataset& dataset, const Model& model, Host& host) : dataset_(dataset), model_(model), host_(host) {
+    at::set_num_threads(1);  // parts of a batch run side by side instead
+  }
+  const Dataset& dataset() const { return dataset_; }
+  bool cancelled() const { return host_.cancelled(); }
+  const Example& example(std::size_t i) const { return dataset_.examples[i]; }
+
+  void raw_inputs(const Example& e, Index j, const MaterialKnowledge& knowledge, double* to) const {
+    const bool released = e.released && j + 1 == e.segments();
+    write_inputs(model_.dimensions, e.controls.row(j).data(), e.states.row(j).data(), e.states.row(j + 1).data(),
+                 e.targets.row(j).data(), e.targets.row(j + 1).data(), released, knowledge.centre, knowledge.width, to);
+  }
+
+  Batch make_batch(std::vector<Sequence> sequences) const {
+    std::stable_sort(sequences.begin(), sequences.end(),
+                     [](const Sequence& a, const Sequence& b) { return a.steps > b.steps; });
+    Batch batch;
+    const auto n = static_cast<std::size_t>(model_.dimensions.coordinates());
+    const auto u = static_cast<std::size_t>(model_.dimensions.inputs());
+    batch.rows = static_cast<Index>(sequences.size());
+    const auto normalised = [&](const float* from, std::vector<float>& to) {
+      const std::size_t at = to.size();
+      to.resize(at + n);
+      for (std::size_t c = 0; c < n; ++c) to[at + c] = from[c] / kLength - model_.mean[c];
+    };
+    for (std::size_t r = 0; r < sequences.size(); ++r) {
+      const auto& s = sequences[r];
+      const float* shapes = example(s.example).shapes.data();
+      const float* first = shapes + static_cast<std::size_t>(s.start) * n;
+      normalised(first, batch.shape);
+      for (std::size_t c = 0; c < n; ++c)
+        batch.change.push_back(s.start == 0 ? 0.0f : (first[c] - (first - n)[c]) / kLength);
+      for (const Index step : s.decoded) {
+        batch.wanted.push_back({static_cast<Index>(r), step});
+        normalised(first + static_cast<std::size_t>(step) * n, batch.target);
+      }
+    }
+    std::vector<double> raw(u);
+    for (Index j = 0; j < sequences.front().steps; ++j) {
+      Index m = 0;
+      for (; m < batch.rows && sequences[static_cast<std::size_t>(m)].steps > j; ++m) {
+        const auto& s = sequences[static_cast<std::size_t>(m)];
+        raw_inputs(example(s.example), s.start + j, s.knowledge, raw.data());
+        for (std::size_t k = 0; k < u; ++k)
+          batch.inputs.push_back(static_cast<float>((raw[k] - model_.input_mean[k]) / model_.input_sd[k]));
+      }
+      batch.running.push_back(m);
+    }
+    return batch;
+  }
+
+  static constexpr std::size_t kBatch = 32;
+  static std::size_t batches(const std::vector<Sequence>& all) { return (all.size() + kBatch - 1) / kBatch; }
+  Batch batch(const std::vector<Sequence>& all, std::size_t number) const {
+    const auto begin = all.begin() + static_cast<std::ptrdiff_t>(kBatch * number);
+    return make_batch({begin, begin + std::min<std::ptrdiff_t>(kBatch, all.end() - begin)});
+  }
+  std::vector<Batch> in_batches(const std::vector<Sequence>& all) const {
+    std::vector<Batch> made;
+    for (std::size_t b = 0; b < batches(all); ++b) made.push_back(batch(all, b));
+    return made;
+  }
+
+  Tensor sigma_of(const Graph::Output& out) const {
+    const float floor = static_cast<float>(model_.architecture.sigma_floor_m) / kLength;
+    return at::exp(at::clamp_max(out.log_sigma, kLargestLogSigma)) + floor;
+  }
+
+  Graph::Output forward(const Graph& graph, const Batch& batch) const {
+    const auto& d = model_.dimensions;
+    const auto total = static_cast<Index>(batch.inputs.size()) / d.inputs();
+    return graph.forward(view(batch.shape.data(), batch.rows, d.coordinates()),
+                         view(batch.change.data(), batch.rows, d.coordinates()),
+                         view(batch.inputs.data(), total, d.inputs()), batch.running, batch.wanted,
+                         batch.columns.empty() ? Tensor() : at::tensor(batch.columns));
+  }
+  /// The shapes that a batch's predictions are compared with, [wanted, columns].
+  Tensor target(const Batch& batch) const {
+    const Tensor all =
+        view(batch.target.data(), static_cast<Index>(batch.wanted.size()), model_.dimensions.coordinates());
+    return batch.columns.empty() ? all : at::index_select(all, 1, at::tensor(batch.columns));
+  }
+
+  /// body(p) for every part, on the host's threads. Each part's products use one thread.
+  template <class Body>
+  void side_by_side(std::size_t parts, const Body& body) {
+    host_.parallel_for(static_cast<std::int64_t>(parts), [&](std::int64_t p) {
+      if (parts > 1) at::init_num_threads();  // libtorch counts threads per thread
+      body(static_cast<std::size_t>(p));
+    });
+  }
+
+ private:
+  const Dataset& dataset_;
+  const Model& model_;
+  Host& host_;
+};
+
+/// Errors of libtorch become ours: its exception types stay inside this library.
+template <class Body>
+void translated(const Body& body) {
+  try {
+    body();
+  } catch (const c10::Error& error) {
+    throw Error(std::string("libtorch: ") + error.what_without_backtrace());
+  }
+}
+
+}  // namespace weft::emd

@@ -1,0 +1,334 @@
+// Whole sessions on a coarse towel, with the plugins that ship.
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "loader/program_host.hpp"
+#include "meshes/mesher.hpp"
+#include "session/session.hpp"
+#include "simulation/task_config.hpp"
+#include "unit/test_support.hpp"
+#include "weft/hdf5_file.hpp"
+
+namespace weft {
+namespace {
+
+/// A towel of 80 mm edges and a plan that costs a second.
+std::string task_text() {
+  return "garment: towel.yaml\n"
+         "material: " WEFT_SOURCE_DIR
+         "/configs/fabrics/basic.yaml\n"
+         "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
+         "simulator: {plugin: cloth}\n"
+         "trajectory: {plugin: arc}\n"
+         "predictor: {plugin: rollout}\n"
+         "planning: {instances: 2, iterations: 3, replan_iterations: 1, horizon: 14}\n"
+         "goal: {random: {min_distance_mm: 20}}\n"
+         "settle: {max_frames: 60}\n"
+         "seed: 4\n";
+}
+
+class Session : public testing::Test {
+ protected:
+  Session() {
+    const auto towel = generate_mesh(towel_outline({}), {.edge_m = 0.08});
+    write_obj(folder_ / "towel.obj", towel.mesh, true);
+    std::string vertices;
+    for (const auto& [name, index] : towel.vertices) vertices += "  " + name + ": " + std::to_string(index) + "\n";
+    folder_.write("towel.yaml", "name: towel\nmesh: towel.obj\nvertices:\n" + vertices);
+  }
+
+  /// The task of the last run's file.
+  Task task() {
+    const ConfigNode config = ConfigNode::load(folder_ / "task.yaml");
+    SessionParams params;
+    read_params(config, params);
+    const auto registry = std::make_shared<PluginRegistry>();
+    return make_task(params.task, config, *make_host(registry, {.threads = 1}));
+  }
+
+  SessionResult run(const std::vector<std::string>& overrides = {}, int threads = 2) {
+    ConfigNode config = ConfigNode::load(folder_.write("task.yaml", task_text()));
+    for (const auto& assignment : overrides) config = apply_override(config, assignment);
+    SessionParams params;
+    resolved_ = read_params(config, params);
+    const auto registry = std::make_shared<PluginRegistry>();
+    const auto host = make_host(registry, {.threads = threads, .seed = 4});
+    return run_session(params, config, *host);
+  }
+
+  test::Folder folder_;
+  ConfigNode resolved_;
+};
+
+TEST_F(Session, ComesCloserToTheGoalThanTheDefaultControl) {
+  const SessionResult result = run();
+  EXPECT_TRUE(result.released);
+  EXPECT_GE(result.default_error_mm, 20.0);
+  EXPECT_LT(result.error_mm, 0.7 * result.default_error_mm);
+  EXPECT_LE(result.rounds.size(), 14u);
+  // The start, the executed segments, the settling.
+  EXPECT_GT(result.settle.frames, 6);
+  EXPECT_EQ(static_cast<Index>(result.frames.size()),
+            1 + static_cast<Index>(result.rounds.size()) * kFramesPerSegment + result.settle.frames);
+}
+
+TEST_F(Session, SameSeedSameBitsWhateverTheNumberOfThreads) {
+  const SessionResult one = run({}, 1), two = run({}, 2);
+  EXPECT_EQ(one.final_shape, two.final_shape);
+  EXPECT_EQ(one.error_mm, two.error_mm);
+  ASSERT_EQ(one.rounds.size(), two.rounds.size());
+  for (std::size_t i = 0; i < one.rounds.size(); ++i) {
+    EXPECT_EQ(one.rounds[i].plan.controls, two.rounds[i].plan.controls) << i;
+    EXPECT_EQ(one.rounds[i].plan.losses, two.rounds[i].plan.losses) << i;
+  }
+}
+
+TEST_F(Session, AnotherSeedIsAnotherGoalAndAnotherFabric) {
+  const SessionResult a = run({"planning.iterations=0", "planning.replan_iterations=0"});
+  const SessionResult b = run({"planning.iterations=0", "planning.replan_iterations=0", "seed=5"});
+  EXPECT_NE(a.goal, b.goal);
+  EXPECT_NE(a.true_material, b.true_material);
+}
+
+TEST_F(Session, AnotherPlanningHorizonIsNoOtherGoal) {
+  const std::vector<std::string> quick = {"planning.iterations=0", "planning.replan_iterations=0",
+                                          "planning.instances=1"};
+  auto longer = quick, other = quick;
+  longer.push_back("planning.horizon=20");
+  other.push_back("goal.horizon=12");
+  const SessionResult a = run(quick), b = run(longer), c = run(other);
+  EXPECT_EQ(a.goal, b.goal);
+  EXPECT_EQ(a.default_shape, b.default_shape);
+  EXPECT_NE(a.goal, c.goal);
+}
+
+TEST_F(Session, HorizonFollowsThePaper) {
+  const SessionResult result = run({"planning.iterations=0", "planning.replan_iterations=0", "planning.instances=1"});
+  EXPECT_EQ(result.rounds[0].plan.horizon, 14);
+  for (std::size_t i = 1; i < result.rounds.size(); ++i) {
+    // The preceding plan minus its executed segment, plus the leeway of 5.
+    const Index before = result.rounds[i - 1].plan.controls.rows() - 1;
+    EXPECT_EQ(result.rounds[i].plan.horizon, std::max<Index>(1, before) + 5);
+  }
+  EXPECT_LT(result.rounds.back().plan.controls.rows(), 2);  // the executed segment was the one that released
+}
+
+TEST_F(Session, GoalsByControlsByObjAndByRecordedSession) {
+  const std::vector<std::string> quick = {"planning.iterations=0", "planning.replan_iterations=0",
+                                          "planning.instances=1"};
+  const auto with = [&](std::vector<std::string> more) {
+    more.insert(more.end(), quick.begin(), quick.end());
+    return run(more);
+  };
+  // The goal that the default control makes is reached by the default control, exactly.
+  const SessionResult by_controls = with({"goal.controls=[2, 0, 0, 0, 0]"});
+  EXPECT_EQ(by_controls.default_error_mm, 0.0);
+  EXPECT_EQ(by_controls.error_mm, 0.0);
+  const Task same = task();
+  const Garment& garment = *same.garment;
+  write_obj(folder_ / "goal.obj", {by_controls.goal, garment.faces, garment.rest, "goal"}, true);
+  const SessionResult by_obj = with({"goal.obj=" + (folder_ / "goal.obj").string()});
+  EXPECT_EQ(by_obj.goal, by_controls.goal);
+  write_session(folder_ / "session.h5", by_controls, task(), resolved_, "{}");
+  const SessionResult by_example = with({"goal.example=" + (folder_ / "session.h5").string()});
+  EXPECT_EQ(by_example.goal, by_controls.final_shape);
+}
+
+const std::vector<std::string> kEstimate = {"knowledge=estimate", "planning.iterations=1",
+                                            "planning.replan_iterations=0", "planning.instances=1",
+                                            "estimation={instances: 2, iterations: 3, later_iterations: 2}"};
+std::vector<std::string> with(std::vector<std::string> list, const std::vector<std::string>& more) {
+  list.insert(list.end(), more.begin(), more.end());
+  return list;
+}
+
+TEST_F(Session, EstimatesBesideTheSessionAndRepeatsBitForBit) {
+  const SessionResult one = run(kEstimate, 1), two = run(kEstimate, 2);
+  ASSERT_EQ(one.rounds.size(), two.rounds.size());
+  ASSERT_EQ(one.estimates.size(), one.rounds.size());
+  for (std::size_t i = 0; i < one.estimates.size(); ++i) {
+    EXPECT_EQ(one.estimates[i].losses, two.estimates[i].losses) << i;
+    EXPECT_EQ(one.estimates[i].knowledge.centre, two.estimates[i].knowledge.centre) << i;
+    EXPECT_EQ(one.estimates[i].knowledge.width, two.estimates[i].knowledge.width) << i;
+    EXPECT_EQ(one.rounds[i].plan.controls, two.rounds[i].plan.controls) << i;
+  }
+  EXPECT_EQ(one.final_shape, two.final_shape);
+}
+
+TEST_F(Session, APlanUsesTheEstimateThatItsLagAllows) {
+  for (const Index lag : {0, 2}) {
+    const SessionResult result = run(with(kEstimate, {"knowledge_lag=" + std::to_string(lag)}));
+    ASSERT_GE(result.rounds.size(), 5u);
+    for (std::size_t j = 0; j < result.rounds.size(); ++j) {
+      const Index seen = static_cast<Index>(j) - lag;
+      const MaterialKnowledge expected =
+          seen <= 0 ? MaterialKnowledge::none() : result.estimates[static_cast<std::size_t>(seen - 1)].knowledge;
+      EXPECT_EQ(result.rounds[j].knowledge.centre, expected.centre) << lag << ", " << j;
+      EXPECT_EQ(result.rounds[j].knowledge.width, expected.width) << lag << ", " << j;
+    }
+  }
+}
+
+TEST_F(Session, LearnsWhatTheClothShows) {
+  // The predictor is the simulator of the fold itself, so what is left is the estimator's own error.
+  const SessionResult result =
+      run({"knowledge=estimate", "true_material=[0.15, 0.85, 0.2, 0.75]", "planning.iterations=1",
+           "goal.controls=[2.3, 0, 0.1, 0, 0]", "planning.replan_iterations=0", "planning.instances=1",
+           "planning.horizon=8", "predictor={plugin: rollout, params: {sigma_m: 0.001}}",
+           "estimation={instances: 2, iterations: 25, later_iterations: 5}", "knowledge_lag=0"});
+  const auto& last = result.estimates.back().knowledge;
+  const PropertyVector error = (last.centre - result.true_material).cwiseAbs();
+  for (Index p = 0; p < 4; ++p) EXPECT_LT(error(p), 0.12) << kPropertyNames[static_cast<std::size_t>(p)];
+  EXPECT_LT(last.width.mean(), 0.5 * result.estimates.front().knowledge.width.mean() + 0.1);
+}
+
+TEST_F(Session, SeesNoisyAndPartialShapesAndIsJudgedByTheTruth) {
+  const std::vector<std::string> poor =
+      with(kEstimate, {"observation={noise_m: 0.002, hidden_share: 0.3, lost_share: 0.2}"});
+  const SessionResult one = run(poor, 1), two = run(poor, 2);
+  ASSERT_EQ(one.rounds.size(), two.rounds.size());
+  EXPECT_EQ(one.rounds.back().observed, two.rounds.back().observed);
+  EXPECT_EQ(one.estimates.back().knowledge.width, two.estimates.back().knowledge.width);
+  EXPECT_EQ(one.final_shape, two.final_shape);
+  EXPECT_NE(one.rounds.back().observed, one.final_shape);
+  EXPECT_EQ(one.error_mm, mean_distance_mm(one.final_shape, one.goal));
+  // 56 % of the vertices are seen, to within the noise; the others are where the plan expected them.
+  std::vector<double> off;
+  for (Index v = 0; v < one.final_shape.rows(); ++v)
+    off.push_back((one.rounds.back().observed.row(v) - one.final_shape.row(v)).norm());
+  std::nth_element(off.begin(), off.begin() + static_cast<std::ptrdiff_t>(off.size() / 2), off.end());
+  EXPECT_LT(off[off.size() / 2], 0.012);
+}
+
+TEST_F(Session, HiddenVerticesStayHiddenAndNoiseIsAsLargeAsItSays) {
+  const Task towel = (run({"planning.iterations=0", "planning.instances=1", "planning.replan_iterations=0"}), task());
+  const auto registry = std::make_shared<PluginRegistry>();
+  const auto host = make_host(registry, {.threads = 1});
+  SimulatorEnvironment environment(host->create<Simulator>(towel.simulator), towel, PropertyVector::Constant(0.5),
+                                   {.noise_m = 0.003, .hidden_share = 0.25, .lost_share = 0.25}, 9);
+  const Index n = towel.garment->vertex_count();
+  std::vector<int> times(static_cast<std::size_t>(n));
+  double square = 0.0;
+  constexpr int kLooks = 200;
+  for (int k = 0; k < kLooks; ++k) {
+    const Observation seen = environment.observe();
+    EXPECT_EQ(seen.sigma, 0.003);
+    for (Index v = 0; v < n; ++v) times[static_cast<std::size_t>(v)] += seen.sees(v);
+    square += (seen.positions - environment.positions()).squaredNorm() / static_cast<double>(3 * n * kLooks);
+  }
+  EXPECT_NEAR(std::sqrt(square), 0.003, 1e-4);
+  Index hidden = 0;
+  for (const int t : times) {
+    hidden += t == 0;
+    if (t > 0) {
+      EXPECT_NEAR(t, 0.75 * kLooks, 40);
+    }
+  }
+  EXPECT_NEAR(static_cast<double>(hidden), 0.25 * static_cast<double>(n), 0.15 * static_cast<double>(n));
+}
+
+TEST(ObserveShape, AHeightBiasIsOnePerSessionAndAsLargeAsItSays) {
+  const Positions flat = Positions::Constant(5, 3, 0.1);
+  const ObservationParams params{.height_bias_m = 0.002};
+  double square = 0.0;
+  constexpr std::uint64_t kSessions = 400;
+  for (std::uint64_t seed = 0; seed < kSessions; ++seed) {
+    const Observation first = observe_shape(flat, params, seed, 0), later = observe_shape(flat, params, seed, 7);
+    EXPECT_EQ(first.positions, later.positions);
+    EXPECT_EQ(first.positions.leftCols(2), flat.leftCols(2));
+    EXPECT_EQ(first.height_sigma, 0.002);
+    EXPECT_EQ(first.positions.col(2).minCoeff(), first.positions.col(2).maxCoeff());
+    square += std::pow(first.positions(0, 2) - 0.1, 2) / static_cast<double>(kSessions);
+  }
+  EXPECT_NEAR(std::sqrt(square), 0.002, 0.0002);
+}
+
+TEST_F(Session, DrawnKnowledgeHoldsTheTruth) {
+  std::vector<std::string> quick = {"planning.iterations=0", "planning.instances=1", "planning.replan_iterations=0",
+                                    "knowledge=drawn", "drawn_width=0.4"};
+  const SessionResult result = run(quick);
+  const auto& k = result.rounds.front().knowledge;
+  EXPECT_EQ(k.width, PropertyVector::Constant(0.4));
+  for (Index p = 0; p < 4; ++p) {
+    EXPECT_LE(std::abs(k.centre(p) - result.true_material(p)), 0.2);
+    EXPECT_NE(k.centre(p), result.true_material(p));
+  }
+}
+
+TEST_F(Session, RefinementBringsThePlanCloserInTheSimulator) {
+  const std::vector<std::string> wrong = {"true_material=[0.5, 0.9, 0.5, 0.5]",
+                                          "planning={instances: 1, iterations: 3, replan_iterations: 0, horizon: 14}"};
+  const SessionResult plain = run(wrong), refined = run(with(wrong, {"refinement={plans: 1, iterations: 3}"}));
+  EXPECT_LT(refined.rounds.front().plan.predicted_error_mm, plain.rounds.front().plan.predicted_error_mm);
+  EXPECT_GT(refined.rounds.front().refinement_seconds, 0.0);
+  EXPECT_EQ(refined.rounds[1].refinement_seconds, 0.0);
+  EXPECT_EQ(plain.rounds.front().refinement_seconds, 0.0);
+}
+
+TEST_F(Session, RefinementUsesTheEstimatedMaterial) {
+  // No step is taken: the refined plan is the plan before, judged by the simulator at the material that it is given.
+  const SessionResult plain = run(kEstimate),
+                      refined = run(with(kEstimate, {"refinement={first: 2, plans: 1, iterations: 0}"}));
+  ASSERT_GE(refined.rounds.size(), 3u);
+  EXPECT_EQ(refined.rounds[1].refinement_seconds, 0.0);
+  EXPECT_GT(refined.rounds[2].refinement_seconds, 0.0);
+  EXPECT_EQ(refined.rounds[2].knowledge.centre, refined.estimates[0].knowledge.centre);
+  EXPECT_NE(refined.rounds[2].knowledge.centre, refined.true_material);
+  // The predictor of these sessions is the simulator, too, at the estimate.
+  EXPECT_NEAR(refined.rounds[2].plan.predicted_error_mm, plain.rounds[2].plan.predicted_error_mm, 1e-9);
+}
+
+TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
+  const auto message = [&](const std::vector<std::string>& overrides) {
+    return test::message_of<ConfigError>([&] { run(overrides); });
+  };
+  // A simulator that cannot start: what is refused is refused before it is asked to.
+  const std::string broken = "simulator={plugin: cloth, params: {min_substeps: 1, max_substeps: 1}}";
+  EXPECT_THAT(message({broken}), testing::HasSubstr("max_substeps"));
+  const auto points = folder_.write("point.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").string();
+  const std::pair<std::vector<std::string>, std::string> cases[] = {
+      {{"true_material=[0.5, 0.5]"}, "--set: true_material = [0.5, 0.5], must be a list of 4 numbers"},
+      {{"goal.material=[1]"}, "--set: goal.material = [1], must be a list of 4 numbers"},
+      {{"estimation.deviation_scale=[1, 2]"}, "--set: estimation.deviation_scale = [1, 2], must be a list of 4"},
+      {{"knowledge=given"}, "--set: knowledge = given, which needs given_centre and given_width"},
+      {{"knowledge=given", "given_centre=[1]"}, "--set: given_centre = [1], must be a list of 4 numbers"},
+      {{"scene.gravity_m_per_s2=[-9.81]"}, "--set: scene.gravity_m_per_s2 = [-9.81], must be a list of 3 numbers"},
+      {{"planning.vertices=[99999]"}, "--set: planning.vertices.0 = 99999, must be a vertex in [0, "},
+      {{"planning.vertex_weights=[1]"}, "--set: planning.vertex_weights has 1 numbers, must have "},
+      {{"manipulation.grasp=[left_top]"}, "--set: manipulation.grasp = [left_top], must be 2 named vertices"},
+      {{"manipulation.grasp=[left_botom, left_top]"}, "--set: manipulation.grasp.0 = left_botom: garment towel: "},
+      {{"manipulation.displacement_m=[1]"}, "--set: manipulation.displacement_m = [1], must be a list of 2 numbers"},
+      {{"manipulation.displacement_m=[0, 0]"}, "--set: manipulation.displacement_m = [0, 0]: arc: |d| = 0 m"},
+      {{"predictor=null"}, ": predictor = nothing, must be a predictor plugin"},
+      {{"goal.controls=[1, 2]"}, "goal.controls has 2 numbers, must have 5"},
+      {{"goal.controls=[99, 0, 0, 0, 0]"}, "--set: goal.controls.0 = 99, must be in [0.5, 4] deg/frame (dtheta)"},
+      {{"goal.controls=[[2, 0, 0, 0, 0], [2, 0, -9, 0, 0]]"}, "--set: goal.controls.1.2 = -9, must be in ["},
+      {{"goal.controls=[2, 0, 0, 0, 0]", "goal.obj=x.obj"},
+       "--set: goal.controls is given beside goal.obj; at most one"},
+      {{"goal.obj=/none.obj"}, "--set: goal.obj = /none.obj: /none.obj: no such file"},
+      {{"goal.obj=" + points}, ": has 3 vertices, must have the garment's "},
+      {{"goal.example=/none.h5"}, "--set: goal.example = /none.h5: /none.h5: does not exist"},
+  };
+  for (const auto& [overrides, expected] : cases)
+    EXPECT_THAT(message(with(overrides, {broken})), testing::HasSubstr(expected)) << overrides.front();
+  EXPECT_THAT(message({"manipulation.displacement_m=[0, 0]"}), testing::HasSubstr("`weft displacement`"));
+}
+
+TEST_F(Session, SessionFileHoldsWhatTheSummarySays) {
+  const SessionResult result = run({"planning.iterations=1"});
+  write_session(folder_ / "session.h5", result, task(), resolved_, "{}");
+  const auto file = Hdf5File::open(folder_ / "session.h5");
+  EXPECT_EQ(file.read_positions("/final_shape"), result.final_shape);
+  EXPECT_EQ(file.list("/rounds").size(), result.rounds.size());
+  EXPECT_EQ(file.shape("/frames"),
+            (std::vector<Index>{static_cast<Index>(result.frames.size()), result.goal.rows(), 3}));
+  const auto summary = nlohmann::json::parse(file.read_text("/summary"));
+  EXPECT_EQ(summary["error_mm"].get<double>(),
+            mean_distance_mm(file.read_positions("/final_shape"), file.read_positions("/goal")));
+  EXPECT_EQ(summary["plan_seconds"].size(), result.rounds.size());
+  EXPECT_EQ(summary["knowledge"].size(), result.rounds.size());
+  EXPECT_EQ(file.read_text("/config"), resolved_.to_yaml());
+}
+
+}  // namespace
+}  // namespace weft
