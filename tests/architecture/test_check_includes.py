@@ -39,7 +39,8 @@ GOOD = {
 """,
     "framework/include/weft/types.hpp": "#pragma once\n#include <vector>\nstruct Shape { std::vector<double> p; };\n",
     "framework/include/weft/error.hpp": '#pragma once\n#include "weft/types.hpp"\nWEFT_API void fail(const Shape&);\n',
-    "framework/include/weft/plugin.hpp": "#pragma once\n#define WEFT_PLUGIN(name) \\\n  extern \"C\" WEFT_API int name; // WEFT_API\n",
+    "framework/include/weft/plugin.hpp": "#pragma once\n#define WEFT_PLUGIN(name) \\\n  extern \"C\" WEFT_API int name;\n"
+                                         "// no WEFT_API is meant here\n",
     "framework/sdk/error.cpp": '#include "weft/error.hpp"\n',
     "framework/loader/registry.hpp": '#pragma once\n#include "weft/error.hpp"\n',
     "framework/loader/registry.cpp": '#include "loader/registry.hpp"\n',

@@ -36,6 +36,8 @@ from pathlib import Path
 PIECES = ("seeds", "estimate", "plugins", "examples", "training", "physics")
 # Text that names the tree or its config, not a result. A checksum covers them.
 LEFT_OUT_OF_HDF5 = {"config", "provenance", "summary", "training", "checksum", "identity", "dataset", "identities"}
+# In training.json, what depends on the machine or names the dataset.
+LEFT_OUT_OF_JSON = {"iterations_per_s", "threads", "dataset"}
 
 
 @dataclass
@@ -81,7 +83,7 @@ def all_runs(module):
     runs += [
         Run("examples", "64", ["generate", experiment, "--examples", "64"], ["shard-*.h5"]),
         Run("training", "200", ["train", experiment, "--data", "{runs}/examples-64", "--set",
-                                "predictor.params.training.iterations=200"], ["*.h5", "*.csv"], "model.h5", "examples-64"),
+                                "predictor.params.training.iterations=200"], ["model.h5", "training.json"], "model.h5", "examples-64"),
         Run("physics", "suite", ["evaluate", "physics", "{configs}/experiments/physics.yaml"], ["physics.csv"]),
     ]
     return runs
@@ -144,21 +146,22 @@ class Comparison:
 
     compared: int = 0  # numbers and texts
     differences: list = field(default_factory=list)
+    missing: list = field(default_factory=list)  # what the new tree does not write; a difference too
     added: list = field(default_factory=list)
     told: str = ""  # the result in a few words
 
     def names(self, where, base, new):
         """Reports what only one side has; returns what both have, in order."""
-        self.differences += [f"{where}{name}: missing in new" for name in base if name not in new]
+        self.missing += [f"{where}{name}: missing in new" for name in base if name not in new]
         self.added += [f"{where}{name}" for name in new if name not in base]
         return [name for name in base if name in new]
 
 
 def leaves(value, path=""):
-    """Every number, text and truth value of a JSON value by its path, without seconds."""
+    """Every number, text and truth value of a JSON value by its path, without what is left out."""
     if isinstance(value, dict):
         for name, item in value.items():
-            if "seconds" not in name:
+            if "seconds" not in name and name not in LEFT_OUT_OF_JSON:
                 yield from leaves(item, f"{path}.{name}" if path else name)
     elif isinstance(value, list):
         for index, item in enumerate(value):
@@ -259,7 +262,7 @@ def compare_runs(run, base, new):
         sides = [sorted(file.name for file in folder.glob(pattern)) for folder in (base, new)]
         for name in found.names("file ", *sides):
             COMPARE[Path(name).suffix](base / name, new / name, found)
-    if not found.compared and not found.differences:
+    if not found.compared and not found.differences and not found.missing:
         found.differences.append(f"nothing to compare: no {' or '.join(run.files)}")
     return found
 
@@ -285,15 +288,16 @@ def rows_of(run, base, new, options):
         return [head + "made"], True
     found = compare_runs(run, base.folder / run.key, new.folder / run.key)
     lines = []
-    if found.differences:
-        count = len(found.differences)
+    wrong = found.differences + found.missing
+    if wrong:
+        count = len(wrong)
         lines.append(head + f"DIFFERS  {count} place{'s' if count > 1 else ''}, the first:")
-        lines += [f"            {text}" for text in found.differences[:12]]
+        lines += [f"            {text}" for text in wrong[:12]]
     else:
         lines.append(head + f"equal    {found.compared} values{', ' + found.told if found.told else ''}")
     if found.added:
         lines.append(f"            only in new: {', '.join(found.added[:8])}{' ...' if len(found.added) > 8 else ''}")
-    return lines, not found.differences
+    return lines, not wrong
 
 
 def main(arguments):

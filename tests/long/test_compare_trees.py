@@ -18,7 +18,7 @@ echo "$*" >> "$folder/calls"
 if [ -e "$folder/fails" ]; then echo "error: no plugin is called bullet"; exit 1; fi
 while [ "$1" != --out ]; do shift; done
 case $2 in
-  *.h5) cp "$folder/answers/session.h5" "$2" ;;
+  *.h5) cp "$folder/answers/session.h5" "$2"; echo "{\\"loss\\": 0.5, \\"iterations_per_s\\": $$}" > "$(dirname "$2")/training.json" ;;
   *) cp "$folder"/answers/* "$2" ;;
 esac
 """
@@ -74,6 +74,7 @@ class CompareTrees(unittest.TestCase):
         self.assertEqual(table.count(" equal "), 17, table)
         self.assertIn("seeds     5001         equal    12 values, error_mm 22.845131628018684\n", table)
         self.assertIn("plugins   torchscript  skipped  no module given (--module)\n", table)
+        self.assertIn("training  200          equal    9 values\n", table)
         self.assertIn("physics   suite        equal    4 values, 2 rows\n", table)
         self.assertEqual((self.folder / "out" / "comparison.txt").read_text(), table)
         self.assertEqual(len(self.calls("new")), 17)
@@ -102,7 +103,7 @@ class CompareTrees(unittest.TestCase):
         self.assertIn("/rounds/000/losses: 1 of 2 differ", self.compare("--only", "examples", code=1))
 
     def test_another_shape(self):
-        self.answer("new", shapes={**SHAPES, "/final_shape": [[1.5, 2.5, 3.5]]})
+        self.answer("new", shapes={**SHAPES, "/final_shape": [[1.5, 2.5, 3.5]]})  # one row less
         self.assertIn("/final_shape: shape [2, 3] | [1, 3]", self.compare("--only", "examples", code=1))
 
     def test_what_only_one_tree_has(self):
