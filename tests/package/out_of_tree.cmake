@@ -26,7 +26,7 @@ if(output MATCHES "refused" OR NOT output MATCHES "trajectory +arc .*${WORK}/pre
   message(FATAL_ERROR "the moved tree does not load its own plugins:\n${output}")
 endif()
 
-# Whom weft serves finds the library without the program: plugin and libweft.so may be moved together.
+# An installed plugin finds libweft.so of its own tree by its RUNPATH, without the program's help.
 function(expect_own_library plugin)
   file(GET_RUNTIME_DEPENDENCIES MODULES ${plugin} RESOLVED_DEPENDENCIES_VAR found UNRESOLVED_DEPENDENCIES_VAR missing
        PRE_EXCLUDE_REGEXES "^lib(stdc|gcc|c\\.|m\\.)|^ld-" POST_EXCLUDE_REGEXES "^/(usr/)?lib")
@@ -37,7 +37,7 @@ endfunction()
 file(GLOB_RECURSE arc ${WORK}/prefix/lib*/*weft_trajectory_arc.so)
 expect_own_library(${arc})
 
-# Documents, and the examples that the rest of this test builds, as an outsider has them.
+# The installed documents; the rest of this test builds the installed examples.
 set(documents ${WORK}/prefix/share/doc/weft)
 foreach(file README.md MIGRATION.md docs/write-a-plugin.md docs/images/fold.png plugins/trajectory/arc/README.md)
   if(NOT EXISTS ${documents}/${file})
