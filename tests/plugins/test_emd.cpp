@@ -16,6 +16,7 @@
 #include "learning/generate.hpp"
 #include "learning/held_out.hpp"
 #include "predictor/emd/emd.hpp"
+#include "predictor/emd/model_file.hpp"
 #include "predictor/emd/sampling.hpp"
 #include "predictor/emd/training/calibration.hpp"
 #include "predictor/emd/training_library.hpp"

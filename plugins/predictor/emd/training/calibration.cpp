@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <numeric>
 
+#include "../model_file.hpp"
 #include "../training_library.hpp"
 #include "passes.hpp"
 #include "sigma_layer.hpp"

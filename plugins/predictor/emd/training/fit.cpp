@@ -1,5 +1,6 @@
 // Training, on libtorch: the network as a graph for autograd, the loss, the optimisers, checkpoints. A library of its
 // own, so that prediction needs no libtorch.
+#include "../model_file.hpp"
 #include "../training_library.hpp"
 
 #include <ATen/ATen.h>
