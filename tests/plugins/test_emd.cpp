@@ -18,7 +18,7 @@
 #include "predictor/emd/emd.hpp"
 #include "predictor/emd/model_file.hpp"
 #include "predictor/emd/sampling.hpp"
-#include "predictor/emd/training/calibration.hpp"
+#include "predictor/emd/training/sigma_tally.hpp"
 #include "predictor/emd/training_library.hpp"
 #include "trajectory/arc/arc.cpp"  // compiled in, as the predictor's objects are
 #include "unit/test_support.hpp"
