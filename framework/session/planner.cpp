@@ -405,6 +405,8 @@ Plan Planner::plan(const PlanRequest& request) const {
   }
   if (!std::isfinite(plan.loss)) throw Error("planning: no instance reached a finite loss: " + results.front().message);
 
+  plan.ended = search_end(results, plan.instance);
+
   // The winner, truncated after its release segment, with the whole predicted sequence.
   PredictionCase winner = objective.make_case(results[static_cast<std::size_t>(plan.instance)].x);
   const Index u = winner.segments.front();
