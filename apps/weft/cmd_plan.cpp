@@ -39,6 +39,7 @@ ordered_json to_json(const LonePlan& lone) {
           {"loss", plan.loss},
           {"losses", plan.losses},
           {"instance", plan.instance},
+          {"ended", to_json(plan.ended)},
           {"iterations", plan.iterations},
           {"evaluations", plan.evaluations},
           {"plan_seconds", plan.seconds},
@@ -55,6 +56,7 @@ ordered_json to_json(const LoneEstimates& lone) {
                     {"loss", one.loss},
                     {"nll", one.nll},
                     {"misfit", one.misfit},
+                    {"ended", to_json(one.ended)},
                     {"estimate_seconds", one.seconds}});
   }
   return {{"true_material", to_list(lone.true_material)}, {"estimates", list}};

@@ -411,6 +411,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   }
   if (!std::isfinite(estimate.loss))
     throw Error("estimation: no instance reached a finite loss: " + results.front().message);
+  estimate.ended = search_end(results, estimate.instance);
   const Vector& best = results[static_cast<std::size_t>(estimate.instance)].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});
   objective.rate(prediction->shapes().front(), estimate);

@@ -585,20 +585,28 @@ std::string session_summary_json(const SessionResult& result) {
   summary["settle_frames"] = result.settle.frames;
   auto plan_seconds = ordered_json::array();
   auto iterations = ordered_json::array();
+  auto plan_ended = ordered_json::array();
   auto predicted = ordered_json::array();
   auto knowledge = ordered_json::array();
   for (const auto& round : result.rounds) {
     plan_seconds.push_back(round.plan.seconds);
     iterations.push_back(round.plan.iterations);
+    plan_ended.push_back(to_json(round.plan.ended));
     predicted.push_back(round.plan.predicted_error_mm);
     knowledge.push_back({{"centre", list(round.knowledge.centre)}, {"width", list(round.knowledge.width)}});
   }
   summary["plan_seconds"] = plan_seconds;
   summary["plan_iterations"] = iterations;
+  summary["plan_ended"] = plan_ended;
   summary["predicted_error_mm"] = predicted;
   auto estimate_seconds = ordered_json::array();
-  for (const auto& estimate : result.estimates) estimate_seconds.push_back(estimate.seconds);
+  auto estimate_ended = ordered_json::array();
+  for (const auto& estimate : result.estimates) {
+    estimate_seconds.push_back(estimate.seconds);
+    estimate_ended.push_back(to_json(estimate.ended));
+  }
   summary["estimate_seconds"] = estimate_seconds;
+  summary["estimate_ended"] = estimate_ended;
   double refinement_seconds = 0.0;
   for (const auto& round : result.rounds) refinement_seconds += round.refinement_seconds;
   if (refinement_seconds > 0.0) summary["refinement_seconds"] = refinement_seconds;

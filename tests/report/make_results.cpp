@@ -159,6 +159,9 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
     plan.losses = plan.curves.back();
     plan.instance = std::min_element(plan.losses.begin(), plan.losses.end()) - plan.losses.begin();
     plan.loss = plan.losses[static_cast<std::size_t>(plan.instance)];
+    plan.ended = {OptimiserStatus::budget_spent,
+                  "max_iterations",
+                  {{OptimiserStatus::converged, 3}, {OptimiserStatus::budget_spent, 13}}};
     plan.iterations = static_cast<Index>(iterations);
     plan.seconds = r == 0 ? 2.31 : 0.45 + 0.3 * random.uniform();
 

@@ -327,6 +327,13 @@ TEST_F(Session, SessionFileHoldsWhatTheSummarySays) {
             mean_distance_mm(file.read_positions("/final_shape"), file.read_positions("/goal")));
   EXPECT_EQ(summary["plan_seconds"].size(), result.rounds.size());
   EXPECT_EQ(summary["knowledge"].size(), result.rounds.size());
+  ASSERT_EQ(summary["plan_ended"].size(), result.rounds.size());
+  const auto& ended = summary["plan_ended"][0];
+  EXPECT_EQ(ended["status"], to_string(result.rounds[0].plan.ended.status));
+  EXPECT_EQ(ended["message"], result.rounds[0].plan.ended.message);
+  int instances = 0;
+  for (const auto& [status, number] : ended["instances"].items()) instances += number.get<int>();
+  EXPECT_EQ(instances, static_cast<int>(result.rounds[0].plan.losses.size()));
   EXPECT_EQ(file.read_text("/config"), resolved_.to_yaml());
 }
 

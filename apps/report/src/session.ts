@@ -1,7 +1,7 @@
 // The page of one session.
 import { chart, key, materialChart, Plot, wholeTicks, type Chart } from './charts';
 import { colourLegend, niceCeiling } from './colours';
-import { decode, decodeFaces, distancesMm, quantile, Shapes, type PageData } from './data';
+import { decode, decodeFaces, distancesMm, quantile, Shapes, type PageData, type SearchEnd } from './data';
 import { duration, fixed, h, hashOptions, label, section } from './dom';
 import { provenanceDetails, tile, title } from './frame';
 import { Player, seconds } from './player';
@@ -14,6 +14,14 @@ const kColourings: Record<Colouring, { option: string; legend: string }> = {
   prediction: { option: 'distance from what was predicted', legend: 'distance from what was predicted, mm' },
   sigma: { option: 'predicted sigma', legend: 'predicted σ, mm' },
 };
+
+/** As in "It converged (every step is below step_tolerance); all instances: converged 12, budget spent 4". */
+function howItEnded(end: SearchEnd): string {
+  const words: Record<string, string> = { budget_spent: 'ran out of budget', stopped: 'was stopped', diverged: 'found no finite loss', infeasible: 'could not be solved' };
+  const one = words[end.status] ?? end.status;
+  const all = Object.entries(end.instances).map(([status, number]) => `${status.replaceAll('_', ' ')} ${number}`).join(', ');
+  return `It ${one}${end.message ? ` (${end.message})` : ''}; all instances: ${all}`;
+}
 
 export function sessionPage(page: PageData): HTMLElement {
   const session = page.session!, summary = page.summary!, garment = page.garment!;
@@ -248,7 +256,9 @@ export function sessionPage(page: PageData): HTMLElement {
   const lossText = h('p', { class: 'note', id: 'loss-note' });
   function lossNote() {
     if (rounds.length === 0) return;
-    lossText.textContent = `Round ${round + 1}: ${summary.plan_iterations[round]} iterations of ${rounds[round].losses.length} instances in ${duration(summary.plan_seconds[round])}; instance ${winner() + 1} won with ${fixed(Math.min(...rounds[round].losses))} mm².`;
+    const won = `Round ${round + 1}: ${summary.plan_iterations[round]} iterations of ${rounds[round].losses.length} instances in ${duration(summary.plan_seconds[round])}; instance ${winner() + 1} won with ${fixed(Math.min(...rounds[round].losses))} mm²`;
+    const ended = summary.plan_ended?.[round];
+    lossText.textContent = `${won}${ended ? `. ${howItEnded(ended)}` : ''}.`;
   }
 
   const aheadChart = chart('Prediction of the round against what happened', (width) => {
