@@ -6,7 +6,7 @@
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
-#include "session/session.hpp"
+#include "session/replay.hpp"
 #include "simulation/task_config.hpp"
 
 // `weft plan` and `weft estimate`: one half of a session alone.

@@ -7,6 +7,7 @@
 #include "page.hpp"
 #include "prepared.hpp"
 #include "session/session.hpp"
+#include "session/session_file.hpp"
 
 namespace weft::app {
 namespace {

@@ -8,7 +8,7 @@
 
 #include "learning/dataset_files.hpp"
 #include "report/page.hpp"
-#include "session/estimator.hpp"
+#include "session/replay.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"

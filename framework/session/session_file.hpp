@@ -9,6 +9,10 @@
 
 namespace weft {
 
+class ConfigNode;
+struct SessionResult;
+struct Task;
+
 /// One round of a recorded session.
 struct RoundRecord {
   Controls controls;               ///< [u, C]: the plan; its first row was executed
@@ -50,5 +54,11 @@ struct SessionRecord {
 
 /// @throws ConfigError naming what is missing, damaged or of the wrong shape.
 SessionRecord read_session(const std::filesystem::path& file);
+
+/// summary.json: the keys of docs/file-formats.md.
+std::string session_summary_json(const SessionResult& result);
+/// session.h5. @param resolved the resolved config; @param provenance version, commit, plugins.
+void write_session(const std::filesystem::path& file, const SessionResult& result, const Task& task,
+                   const ConfigNode& resolved, const std::string& provenance);
 
 }  // namespace weft

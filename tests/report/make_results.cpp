@@ -17,6 +17,7 @@
 #include "loader/registry.hpp"
 #include "report/page.hpp"
 #include "session/session.hpp"
+#include "session/session_file.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/random.hpp"

@@ -5,6 +5,7 @@
 #include "loader/program_host.hpp"
 #include "meshes/mesher.hpp"
 #include "session/session.hpp"
+#include "session/session_file.hpp"
 #include "simulation/task_config.hpp"
 #include "unit/test_support.hpp"
 #include "weft/hdf5_file.hpp"

@@ -1,5 +1,6 @@
 #pragma once
 #include "model.hpp"
+#include "weft/predictor.hpp"
 
 namespace weft::emd {
 
