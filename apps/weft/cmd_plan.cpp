@@ -57,7 +57,8 @@ ordered_json to_json(const LoneEstimates& lone) {
                     {"misfit", one.misfit},
                     {"estimate_seconds", one.seconds}});
   }
-  return {{"true_material", to_list(lone.true_material)}, {"estimates", list}};
+  return {{"true_material", lone.true_material ? ordered_json(to_list(*lone.true_material)) : ordered_json()},
+          {"estimates", list}};
 }
 
 /// Reads the config and the recorded session, lets `compute` work, saves what it returns as NAME.json.
@@ -106,7 +107,7 @@ int estimate(Context& context, const Options& options) {
         };
         for (std::size_t j = 0; j < lone.estimates.size(); ++j)
           row("segment " + std::to_string(j + 1), lone.estimates[j].knowledge);
-        row("truth", MaterialKnowledge::certain(lone.true_material));
+        if (lone.true_material) row("truth", MaterialKnowledge::certain(*lone.true_material));
         return to_json(lone);
       });
 }

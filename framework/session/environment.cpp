@@ -1,7 +1,9 @@
 #include "session/environment.hpp"
 
 #include <algorithm>
-#include <chrono>
+
+#include "session/process_environment.hpp"
+#include "weft/config.hpp"
 
 namespace weft {
 
@@ -13,7 +15,7 @@ std::vector<float> to_frame(const Positions& positions) {
 SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task,
                                            const MaterialProperties& material, const ObservationParams& params,
                                            std::uint64_t seed)
-    : simulator_(std::move(simulator)), settle_(task.settle), params_(params), seed_(seed) {
+    : simulator_(std::move(simulator)), material_(material), settle_(task.settle), params_(params), seed_(seed) {
   simulator_->reset(task.garment, task.material.at(material), task.scene);
   simulator_->grasp(task.manipulation.grasp_vertices);
   record();
@@ -26,17 +28,14 @@ Observation SimulatorEnvironment::observe() {
 }
 
 void SimulatorEnvironment::execute(const SegmentPath& path) {
-  const auto started = std::chrono::steady_clock::now();
   for (const auto& targets : path.targets) {
     simulator_->step(targets);
     record();
   }
   max_grasp_strain_ = std::max(max_grasp_strain_, simulator_->diagnostics().max_grasp_strain);
-  seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
 }
 
 SettleResult SimulatorEnvironment::release() {
-  const auto started = std::chrono::steady_clock::now();
   simulator_->release();
   // A frame at a time, to record each: the same states as in one go (Simulator::settle).
   const SettleCriterion one_frame{settle_.speed, 1, 1};
@@ -48,8 +47,35 @@ SettleResult SimulatorEnvironment::release() {
     result.settled = calm >= settle_.hold_frames;
     record();
   }
-  seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
   return result;
+}
+
+std::vector<std::string> SimulatorEnvironment::warnings() const {
+  const std::string warning = simulator_->diagnostics().warning;
+  return warning.empty() ? std::vector<std::string>() : std::vector<std::string>{warning};
+}
+
+std::unique_ptr<Environment> make_environment(const EnvironmentParams& params, const ConfigNode& origin,
+                                              const Task& task, const std::optional<MaterialProperties>& material,
+                                              const ObservationParams& observation, std::uint64_t seed, Host& host) {
+  if (params.simulated()) {
+    return std::make_unique<SimulatorEnvironment>(host.create<Simulator>(task.simulator), task, material.value(),
+                                                  observation, seed);
+  }
+  const std::pair<const char*, double> shares[] = {{"observation.hidden_share", observation.hidden_share},
+                                                   {"observation.lost_share", observation.lost_share}};
+  for (const auto& [key, share] : shares) {
+    if (share > 0.0) must_be(place(origin, key), "0 with environment.command: the process says what it sees");
+  }
+  const ConfigNode command = place(origin, "environment.command");
+  ProcessOptions options;
+  options.command = params.command;
+  options.folder = params.folder.empty() ? command.folder() : params.folder;
+  options.timeout_s = params.timeout_s;
+  options.sigma = observation.noise_m;
+  options.height_sigma = observation.height_bias_m;
+  options.material = material;
+  return blaming(command, [&] { return std::make_unique<ProcessEnvironment>(options, task); });
 }
 
 }  // namespace weft

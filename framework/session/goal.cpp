@@ -82,15 +82,18 @@ SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const 
   return goal;
 }
 
-SessionGoal make_goal(const GoalParams& params, const ConfigNode& origin, const Task& task, std::uint64_t seed,
-                      const MaterialProperties& true_material, Host& host) {
+SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& task, std::uint64_t seed,
+                      const std::optional<MaterialProperties>& true_material, Host& host) {
   const auto& trajectory = *task.trajectory;
-  SessionGoal goal = read_goal(params, origin, task);
+  SessionGoal goal = std::move(given);
+  std::optional<MaterialProperties> chosen;
+  if (!params.material.empty()) chosen = property_vector(params.material);
+  const MaterialProperties fallback = chosen.value_or(MaterialProperties::Constant(0.5));
+  const MaterialProperties material = true_material.value_or(fallback);
+  const MaterialProperties goal_material = chosen.value_or(material);
   const auto reference = host.create<Simulator>(task.simulator);
   const Index horizon = params.horizon;
-  goal.default_shape =
-      simulate_fold(*reference, task, true_material, trajectory.default_controls(horizon)).shapes.back();
-  const MaterialProperties goal_material = params.material.empty() ? true_material : property_vector(params.material);
+  goal.default_shape = simulate_fold(*reference, task, material, trajectory.default_controls(horizon)).shapes.back();
   if (goal.controls.rows() > 0) {
     goal.shape = simulate_fold(*reference, task, goal_material, goal.controls).shapes.back();
   } else if (goal.shape.rows() == 0) {

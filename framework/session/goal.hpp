@@ -1,6 +1,7 @@
 #pragma once
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <vector>
 
 #include "simulation/random_controls.hpp"
@@ -36,7 +37,8 @@ struct GoalParams {
     v("example", example, "A recorded session (session.h5): its final shape.");
     v("controls", controls, "Controls to simulate: a list of rows, or one row repeated until release.");
     v.group("random", random, "A random trajectory's result; used when nothing else is given.");
-    v("material", material, range(0, 1), "Material under which controls are simulated; default: the true one.");
+    v("material", material, range(0, 1),
+      "Material under which controls are simulated; default: the true one; where nobody knows it, 0.5 of each.");
     v("horizon", horizon, range(1, 200, "segments"),
       "Longest trajectory of a simulated goal and of the default control; apart from planning.horizon, so that "
       "planners "
@@ -61,9 +63,11 @@ Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Ind
 /// @param origin what holds `goal`, for messages. @throws ConfigError.
 SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const Task& task);
 
-/// The goal, and what the default control gives. Reads what is given first: simulating takes its time.
-/// @param seed draws a random goal. @throws ConfigError as read_goal(); Error when no random trajectory serves.
-SessionGoal make_goal(const GoalParams& params, const ConfigNode& origin, const Task& task, std::uint64_t seed,
-                      const MaterialProperties& true_material, Host& host);
+/// Simulates what read_goal() left open: the goal, and what the default control gives.
+/// @param given from read_goal(). @param seed draws a random goal.
+/// @param true_material nullopt: nobody knows it. goal.material takes its place, or else the middle of every range.
+/// @throws Error when no random trajectory gives a goal; Diverged.
+SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& task, std::uint64_t seed,
+                      const std::optional<MaterialProperties>& true_material, Host& host);
 
 }  // namespace weft

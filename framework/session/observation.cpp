@@ -41,6 +41,18 @@ std::shared_ptr<const Positions> filled(const Observation& seen, const Positions
   return std::make_shared<const Positions>(std::move(shape));
 }
 
+double seen_distance_mm(const Observation& seen, const Positions& shape) {
+  require_shape("observed vertices", seen.positions.rows(), shape.rows());
+  double sum = 0.0;
+  Index count = 0;
+  for (Index v = 0; v < shape.rows(); ++v) {
+    if (!seen.sees(v)) continue;
+    sum += (seen.positions.row(v) - shape.row(v)).norm();
+    ++count;
+  }
+  return 1000.0 * sum / count;
+}
+
 std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen) {
   Positions expected = task.garment->positions;
   double height = 0.0;

@@ -41,6 +41,8 @@ Observation observe_shape(const Positions& shape, const ObservationParams& param
                           std::uint64_t number);
 /// What was seen; the vertices that were not seen are where they were expected. @param expected [V, 3] m.
 std::shared_ptr<const Positions> filled(const Observation& seen, const Positions& expected);
+/// Mean distance of the vertices that are seen to the same vertices of a shape, mm. @param shape [V, 3] m.
+double seen_distance_mm(const Observation& seen, const Positions& shape);
 /// The start shape, what was not seen filled from the flat garment at the height at which the rest lies.
 std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen);
 

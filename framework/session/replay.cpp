@@ -41,16 +41,18 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
           before.rows() > 1 ? Controls(before.bottomRows(before.rows() - 1)) : task.trajectory->default_controls(1);
     }
     request.state = round.state;
-    request.knowledge =
-        params.knowledge == "true" ? MaterialKnowledge::certain(recorded->true_material) : round.knowledge;
+    request.knowledge = round.knowledge;
+    if (params.knowledge == "true") request.knowledge = first_knowledge(params, origin, recorded->true_material);
     request.round = segment - 1;
     result.goal = recorded->goal;
   } else {
-    const MaterialProperties q = true_material_of(params);
-    request.knowledge = first_knowledge(params, q);
-    result.goal = make_goal(params.goal, origin, task, seed, q, host).shape;
-    const SimulatorEnvironment at_start(host.create<Simulator>(task.simulator), task, q);
-    request.shape = filled_start(task, observe_shape(at_start.positions(), params.observation, seed, 0));
+    const auto material = true_material_of(params);
+    request.knowledge = first_knowledge(params, origin, material);
+    SessionGoal goal = read_goal(params.goal, origin, task);
+    const auto environment =
+        make_environment(params.environment, origin, task, material, params.observation, seed, host);
+    result.goal = make_goal(std::move(goal), params.goal, task, seed, material, host).shape;
+    request.shape = filled_start(task, environment->observe());
     request.state = task.trajectory->initial_state(task.manipulation);
   }
   request.goal = std::make_shared<const Positions>(result.goal);
@@ -101,8 +103,12 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
     }
   } else {
     result.true_material = true_material_of(params);
+    if (!result.true_material) {
+      place(origin, "environment.command")
+          .fail("executes the fold, of unknown material: the default fold, which is simulated, needs true_material");
+    }
     const Controls controls = task.trajectory->default_controls(params.goal.horizon);
-    FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, result.true_material, controls);
+    FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, *result.true_material, controls);
     replay.state = fold.states.row(0).transpose();
     replay.controls = controls.topRows(fold.segments);
     replay.shapes = std::move(fold.shapes);

@@ -30,8 +30,8 @@ std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& t
                                        const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
                                        Host& host);
 struct LoneEstimates {
-  std::vector<Estimate> estimates;  ///< [segments]
-  MaterialProperties true_material = MaterialProperties::Zero();
+  std::vector<Estimate> estimates;                  ///< [segments]
+  std::optional<MaterialProperties> true_material;  ///< nullopt: nobody knows it
 };
 /// `weft estimate`: the material after every segment of a recorded session, or of the default control under the
 /// session's true material. @param recorded null: the default control.

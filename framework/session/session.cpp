@@ -1,6 +1,7 @@
 #include "session/session.hpp"
 
-#include <cmath>
+#include <algorithm>
+#include <chrono>
 
 #include "session/estimate_chain.hpp"
 #include "weft/config.hpp"
@@ -12,29 +13,111 @@ namespace {
 constexpr std::uint64_t kMaterialStream = 0x71;
 constexpr std::uint64_t kKnowledgeStream = stream_key("know");
 
+/// Frames of a session of which only the ends of its segments were seen: each holds the look before it.
+std::vector<std::vector<float>> held_frames(const SessionResult& result) {
+  std::vector<std::vector<float>> frames{to_frame(result.start)};
+  for (const auto& round : result.rounds) {
+    frames.insert(frames.end(), kFramesPerSegment - 1, frames.back());
+    frames.push_back(to_frame(round.observed));
+  }
+  // The cloth was looked at after it had settled, and not when the hands let go.
+  if (result.released) frames.insert(frames.end() - 1, frames[frames.size() - 2]);
+  return frames;
+}
+
+std::vector<std::string> session_warnings(const SessionResult& result, const Estimator* estimator) {
+  std::vector<std::string> warnings;
+  const auto segments = static_cast<Index>(result.rounds.size());
+  if (const Index most = estimator ? estimator->max_segments().value_or(segments) : segments; most < segments) {
+    warnings.push_back("the predictor takes " + std::to_string(most) +
+                       " segments: later estimates repeat the one after that many");
+  }
+  if (!result.released) {
+    warnings.push_back("the session ended after " + std::to_string(segments) + " segments without release");
+  } else if (!result.settle.settled) {
+    warnings.push_back("the released cloth did not settle within " + std::to_string(result.settle.frames) + " frames");
+  }
+  return warnings;
+}
+
+/// The plan of one round, refined where the parameters say so.
+SessionRound plan_round(const RefinementParams& params, const SessionSetup& setup, PlanRequest request) {
+  SessionRound round;
+  round.state = request.state;
+  round.knowledge = request.knowledge;
+  round.plan = setup.planner->plan(request);
+  if (setup.refiner && request.round >= params.first && request.round - params.first < params.plans) {
+    request.warm_start = round.plan.controls;
+    Plan refined = setup.refiner->plan(request);
+    round.refinement_seconds = refined.seconds;
+    // Its seconds are told apart; its curves and losses are in the simulator's terms, as its prediction is.
+    refined.seconds = round.plan.seconds;
+    refined.iterations = round.plan.iterations;
+    round.plan = std::move(refined);
+  }
+  return round;
+}
+
+SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, Host& host) {
+  SessionSetup setup;
+  setup.task = session_task(params, origin, host);
+  const Task& task = setup.task;
+  setup.knowledge = first_knowledge(params, origin, true_material_of(params));
+  const auto predictor = bound_predictor(place(origin, "predictor"), task, host);
+  setup.planner =
+      std::make_unique<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+  if (params.knowledge == "estimate") {
+    setup.estimator = std::make_unique<const Estimator>(
+        task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation, host);
+  }
+  if (params.refinement.plans > 0) {
+    const auto simulation = bound_predictor(params.refinement.predictor, task, host);
+    PlannerParams refinement = params.planning;
+    refinement.instances = 1;
+    refinement.replan_iterations = params.refinement.iterations;
+    refinement.replan_scale = params.refinement.scale;
+    refinement.leeway = 0;
+    refinement.time_budget_s = 0.0;
+    refinement.replay_iterations.clear();
+    setup.refiner =
+        std::make_unique<const Planner>(task, simulation, host.create<Optimiser>(params.optimiser), refinement, host);
+  }
+  setup.goal = read_goal(params.goal, origin, task);
+  return setup;
+}
+
 }  // namespace
 
-MaterialProperties true_material_of(const SessionParams& params) {
+std::optional<MaterialProperties> true_material_of(const SessionParams& params) {
   if (!params.true_material.empty()) return property_vector(params.true_material);
-  RandomStream random(static_cast<std::uint64_t>(params.seed), kMaterialStream);
+  if (!params.environment.simulated()) return std::nullopt;
+  RandomStream random(params.seed, kMaterialStream);
   MaterialProperties q;
   for (Index p = 0; p < 4; ++p) q(p) = random.uniform();
   return q;
 }
 
-MaterialKnowledge first_knowledge(const SessionParams& params, const MaterialProperties& q) {
+MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin,
+                                  const std::optional<MaterialProperties>& true_material) {
   MaterialKnowledge knowledge;
-  if (params.knowledge == "true") knowledge = MaterialKnowledge::certain(q);
+  if ((params.knowledge == "true" || params.knowledge == "drawn") && !true_material) {
+    // `true` is the default, so that the key may be missing.
+    place(origin, "knowledge")
+        .fail("= " + params.knowledge +
+              ", which needs true_material where a process executes the fold; others: none, "
+              "given, estimate");
+  }
+  if (params.knowledge == "true") knowledge = MaterialKnowledge::certain(*true_material);
   if (params.knowledge == "given") {
     knowledge.centre = property_vector(params.given_centre);
     knowledge.width = property_vector(params.given_width);
   }
   if (params.knowledge == "drawn") {
-    RandomStream random(static_cast<std::uint64_t>(params.seed), kKnowledgeStream);
+    RandomStream random(params.seed, kKnowledgeStream);
     knowledge.width.setConstant(params.drawn_width);
     for (Index p = 0; p < 4; ++p) {
       const double offset = params.drawn_width * (random.uniform() - 0.5);
-      knowledge.centre(p) = std::clamp(q(p) + offset, 0.0, 1.0);
+      knowledge.centre(p) = std::clamp((*true_material)(p) + offset, 0.0, 1.0);
     }
   }
   return knowledge;
@@ -73,112 +156,92 @@ std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& t
   return predictor;
 }
 
-SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host,
+SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
                           const SessionProgress& progress) {
-  const Task task = session_task(params, origin, host);
-  const auto seed = static_cast<std::uint64_t>(params.seed);
+  const Task& task = setup.task;
   const auto& trajectory = *task.trajectory;
+  const Estimator* estimator = setup.estimator.get();
+  const auto seed = static_cast<std::uint64_t>(params.seed);
   SessionResult result;
-  result.true_material = true_material_of(params);
-  MaterialKnowledge knowledge = first_knowledge(params, result.true_material);
-  const auto predictor = bound_predictor(place(origin, "predictor"), task, host);
-  const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
-  std::unique_ptr<const Estimator> estimator;
-  if (params.knowledge == "estimate") {
-    estimator = std::make_unique<const Estimator>(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
-                                                  params.estimation, host);
-  }
-  std::unique_ptr<const Planner> refiner;
-  if (params.refinement.plans > 0) {
-    const auto simulation = bound_predictor(params.refinement.predictor, task, host);
-    PlannerParams refinement = params.planning;
-    refinement.instances = 1;
-    refinement.replan_iterations = params.refinement.iterations;
-    refinement.replan_scale = params.refinement.scale;
-    refinement.leeway = 0;
-    refinement.time_budget_s = 0.0;
-    refinement.replay_iterations.clear();
-    refiner =
-        std::make_unique<const Planner>(task, simulation, host.create<Optimiser>(params.optimiser), refinement, host);
-  }
-
-  SessionGoal made = make_goal(params.goal, origin, task, seed, result.true_material, host);
-  result.goal = std::move(made.shape);
-  result.goal_controls = std::move(made.controls);
-  result.default_shape = std::move(made.default_shape);
+  result.true_material = environment.true_material();
+  result.goal = setup.goal.shape;
+  result.goal_controls = setup.goal.controls;
+  result.default_shape = setup.goal.default_shape;
   result.default_error_mm = mean_distance_mm(result.default_shape, result.goal);
+  const auto error_mm = [&](const Observation& seen) {
+    const auto truth = environment.true_shape();
+    return truth ? mean_distance_mm(*truth, result.goal) : seen_distance_mm(seen, result.goal);
+  };
+  const auto timed = [&](const auto& act) {
+    const auto started = std::chrono::steady_clock::now();
+    act();
+    result.simulate_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+  };
 
-  // Plan, execute one segment, observe, re-plan, ..., release.
-  SimulatorEnvironment environment(host.create<Simulator>(task.simulator), task, result.true_material,
-                                   params.observation, seed);
-  EstimateChain chain(estimator.get(), host, seed);
   Vector state = trajectory.initial_state(task.manipulation);
   const Observation first = environment.observe();
   auto current = filled_start(task, first);
   std::shared_ptr<const Positions> previous;
   const auto goal = std::make_shared<const Positions>(result.goal);
-  result.start = environment.positions();
+  result.shapes_are_true = environment.true_shape().has_value();
+  result.start = environment.true_shape().value_or(*current);
+  result.error_mm = error_mm(first);
+  EstimateChain chain(estimator, host, seed);
   chain.start(task, first, state, static_cast<Index>(trajectory.controls().size()));
+  MaterialKnowledge knowledge = setup.knowledge;
   Controls warm_start;
+  // Plan, execute one segment, observe, re-plan, ..., release.
   while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
          !host.cancelled()) {
-    const auto number = static_cast<std::int64_t>(result.rounds.size());
+    const auto number = static_cast<Index>(result.rounds.size());
     if (estimator) knowledge = chain.knowledge(number - params.knowledge_lag);
-    PlanRequest request{.shape = current, .previous = previous, .state = state, .goal = goal, .knowledge = knowledge};
-    request.warm_start = warm_start;
-    request.round = static_cast<Index>(number);
-    request.seed = seed;
-    SessionRound round;
-    round.state = state;
-    round.knowledge = knowledge;
-    round.plan = planner.plan(request);
-    if (refiner && number >= params.refinement.first && number - params.refinement.first < params.refinement.plans) {
-      request.warm_start = round.plan.controls;
-      Plan refined = refiner->plan(request);
-      round.refinement_seconds = refined.seconds;
-      // Its seconds are told apart; its curves and losses are in the simulator's terms, as its prediction is.
-      refined.seconds = round.plan.seconds;
-      refined.iterations = round.plan.iterations;
-      round.plan = std::move(refined);
-    }
+    SessionRound round = plan_round(params.refinement, setup,
+                                    {.shape = current,
+                                     .previous = previous,
+                                     .state = state,
+                                     .goal = goal,
+                                     .knowledge = knowledge,
+                                     .warm_start = warm_start,
+                                     .round = number,
+                                     .seed = seed});
     const Vector control = round.plan.controls.row(0).transpose();
     const SegmentPath path = trajectory.segment(task.manipulation, state, control);
-    environment.execute(path);
+    timed([&] { environment.execute(path); });
     state = path.end_state;
     if (trajectory.released(state)) {
-      result.settle = environment.release();
+      timed([&] { result.settle = environment.release(); });
       result.released = true;
     }
     Observation seen = environment.observe();
     previous = current;
     current = filled(seen, round.plan.shapes.front().mean);
     round.observed = *current;
+    result.error_mm = error_mm(seen);
     if (estimator) chain.add(control, std::move(seen));
     warm_start = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
     if (warm_start.rows() == 0) warm_start = trajectory.default_controls(1);
-    if (progress) progress(round, request.round, mean_distance_mm(environment.positions(), result.goal));
+    if (progress) progress(round, number, result.error_mm);
     result.rounds.push_back(std::move(round));
   }
   result.estimates = chain.all();
-  result.final_shape = environment.positions();
-  result.error_mm = mean_distance_mm(result.final_shape, result.goal);
-  result.simulate_seconds = environment.seconds();
+  result.final_shape = environment.true_shape().value_or(*current);
   result.max_grasp_strain = environment.max_grasp_strain();
-  result.frames = environment.frames();
-  if (const std::string warning = environment.warning(); !warning.empty()) result.warnings.push_back(warning);
-  const auto segments = static_cast<Index>(result.rounds.size());
-  if (const Index most = estimator ? estimator->max_segments().value_or(segments) : segments; most < segments) {
-    result.warnings.push_back("the predictor takes " + std::to_string(most) +
-                              " segments: later estimates repeat the one after that many");
-  }
-  if (!result.released) {
-    result.warnings.push_back("the session ended after " + std::to_string(result.rounds.size()) +
-                              " segments without release");
-  } else if (!result.settle.settled) {
-    result.warnings.push_back("the released cloth did not settle within " + std::to_string(result.settle.frames) +
-                              " frames");
-  }
+  if (auto frames = environment.frames()) result.frames = std::move(*frames);
+  if (result.frames.empty()) result.frames = held_frames(result);
+  result.warnings = environment.warnings();
+  for (auto& warning : session_warnings(result, estimator)) result.warnings.push_back(std::move(warning));
   return result;
+}
+
+SessionResult run_configured_session(const SessionParams& params, const ConfigNode& origin, Host& host,
+                                     const SessionProgress& progress) {
+  SessionSetup setup = make_setup(params, origin, host);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
+  const auto material = true_material_of(params);
+  const auto environment =
+      make_environment(params.environment, origin, setup.task, material, params.observation, seed, host);
+  setup.goal = make_goal(std::move(setup.goal), params.goal, setup.task, seed, material, host);
+  return run_session(params, setup, *environment, host, progress);
 }
 
 }  // namespace weft

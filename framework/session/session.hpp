@@ -1,5 +1,7 @@
 #pragma once
 #include <functional>
+#include <memory>
+#include <optional>
 #include <string>
 
 #include "session/environment.hpp"
@@ -40,6 +42,7 @@ struct SessionParams {
   PlannerParams planning;
   EstimatorParams estimation;
   RefinementParams refinement;
+  EnvironmentParams environment;
   ObservationParams observation;
   GoalParams goal;
   std::vector<double> true_material;
@@ -66,10 +69,12 @@ struct SessionParams {
     v.group("planning", planning, "Trajectory planning (section 4).");
     v.group("estimation", estimation, "Material estimation (section 5).");
     v.group("refinement", refinement, "The simulator in the loop, after the network's plan.");
+    v.group("environment", environment, "Who executes the fold and sees the cloth.");
     v.group("observation", observation, "What is seen of the cloth.");
     v.group("goal", goal, "The shape to reach.");
     v("true_material", true_material, range(0, 1),
-      "q of the executed fold, [friction, bend, stretch, thickness]; default: drawn from the seed.");
+      "q of the executed fold, [friction, bend, stretch, thickness]; default: drawn from the seed, or, where a process "
+      "executes it, unknown.");
     v("knowledge", knowledge, choice({"none", "true", "given", "drawn", "estimate"}),
       "What the planner knows of the material; estimate: what the session has shown so far.");
     v("given_centre", given_centre, range(0, 1), "knowledge: given: c, [4].");
@@ -91,10 +96,12 @@ void check_session(const SessionParams& params, const ConfigNode& origin, const 
 
 /// The task, and the refusals of check_session().
 Task session_task(const SessionParams& params, const ConfigNode& origin, Host& host);
-/// q of the executed fold, [friction, bend, stretch, thickness]: given, or drawn from the seed.
-MaterialProperties true_material_of(const SessionParams& params);
-/// What is known before the first segment; `estimate`: nothing. @param q the true material.
-MaterialKnowledge first_knowledge(const SessionParams& params, const MaterialProperties& q);
+/// q of the executed fold: given, or drawn from the seed; nullopt where a process executes it and none is given.
+std::optional<MaterialProperties> true_material_of(const SessionParams& params);
+/// What is known before the first segment; `estimate`: nothing.
+/// @throws ConfigError for knowledge `true` or `drawn` when the true material is not known.
+MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin,
+                                  const std::optional<MaterialProperties>& true_material);
 
 /// Makes a predictor and binds it to the task. What is wrong with its model file is said of the key that names it.
 /// @throws ConfigError, PluginError.
@@ -111,19 +118,34 @@ struct SessionRound {
   double refinement_seconds = 0.0;
 };
 
+/// Who plans and estimates in a session, what is known before it, and where it is to lead.
+struct SessionSetup {
+  Task task;
+  std::unique_ptr<const Planner> planner;
+  std::unique_ptr<const Planner> refiner;      ///< null: no plan is refined
+  std::unique_ptr<const Estimator> estimator;  ///< null unless knowledge is `estimate`
+  MaterialKnowledge knowledge;
+  SessionGoal goal;
+};
+
 struct SessionResult {
   std::vector<SessionRound> rounds;
+  /// Whether start, final_shape, frames and error_mm are true: the environment knows its shapes. false: they are what
+  /// was observed. Vertices that were not seen are filled in the shapes, and do not count in error_mm.
+  bool shapes_are_true = true;
   Positions start, goal, final_shape, default_shape;  ///< [V, 3] m
   Controls goal_controls;                             ///< [k, C] of a goal that was simulated, else 0 rows
-  MaterialProperties true_material = MaterialProperties::Zero();
+  std::optional<MaterialProperties> true_material;
   /// [rounds]: from everything up to the end of that round's segment; beyond the predictor's max_segments() the last
   /// one stays. Empty unless knowledge is `estimate`.
   std::vector<Estimate> estimates;
   double error_mm = 0.0, default_error_mm = 0.0;
   bool released = false;
   SettleResult settle;
-  double simulate_seconds = 0.0;
-  double max_grasp_strain = 0.0;
+  double simulate_seconds = 0.0;  ///< s that the environment executed, the release included
+  std::optional<double> max_grasp_strain;
+  /// As Environment::frames(). Of an environment that sees nothing between two looks, each frame holds the look before
+  /// it, and the settling is one frame.
   std::vector<std::vector<float>> frames;
   std::vector<std::string> warnings;
 };
@@ -134,8 +156,13 @@ using SessionProgress = std::function<void(const SessionRound&, Index round, dou
 /// Runs one whole session: plan, execute one segment, observe, re-plan, ..., release, settle (section 4); with
 /// knowledge: estimate the material is estimated after every segment (section 5), beside planning and execution. Which
 /// estimate a plan uses is fixed by knowledge_lag and never by timing.
-/// @throws ConfigError, PluginError before any work starts; Error when planning or the simulation fails.
-SessionResult run_session(const SessionParams& params, const ConfigNode& origin, Host& host,
+/// @param environment at the start of a manipulation. @throws Error when planning or the environment fails.
+SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
                           const SessionProgress& progress = {});
+
+/// The same with the environment, the goal and everybody else as the config says.
+/// @param origin what params were read from. @throws ConfigError, PluginError before any work starts; as run_session().
+SessionResult run_configured_session(const SessionParams& params, const ConfigNode& origin, Host& host,
+                                     const SessionProgress& progress = {});
 
 }  // namespace weft

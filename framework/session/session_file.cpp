@@ -175,13 +175,14 @@ std::string session_summary_json(const SessionResult& result) {
   for (const auto& round : result.rounds) refinement_seconds += round.refinement_seconds;
   if (refinement_seconds > 0.0) summary["refinement_seconds"] = refinement_seconds;
   summary["simulate_seconds"] = result.simulate_seconds;
-  summary["max_grasp_strain"] = result.max_grasp_strain;
+  summary["max_grasp_strain"] = result.max_grasp_strain ? ordered_json(*result.max_grasp_strain) : ordered_json();
   summary["knowledge"] = knowledge;
   if (!result.estimates.empty()) {
     const auto& last = result.estimates.back().knowledge;
     summary["final_knowledge"] = {{"centre", list(last.centre)}, {"width", list(last.width)}};
   }
-  summary["true_material"] = list(result.true_material);
+  summary["true_material"] = result.true_material ? ordered_json(list(*result.true_material)) : ordered_json();
+  summary["shapes"] = result.shapes_are_true ? "true" : "observed";
   summary["warnings"] = result.warnings;
   return summary.dump(2) + "\n";
 }
@@ -207,8 +208,7 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   file.write("/default_shape", result.default_shape);
   file.write("/final_shape", result.final_shape);
   if (result.goal_controls.rows() > 0) file.write("/goal_controls", result.goal_controls);
-  const Eigen::VectorXd material = result.true_material;
-  file.write("/true_material", material);
+  if (result.true_material) file.write("/true_material", Vector(*result.true_material));
   if (!result.estimates.empty()) {
     Controls centre(static_cast<Index>(result.estimates.size()), 4), width = centre;
     for (Index j = 0; j < centre.rows(); ++j) {
@@ -259,7 +259,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   record.goal = in.positions("/goal", vertices);
   record.default_shape = in.positions("/default_shape", vertices);
   record.final_shape = in.positions("/final_shape", vertices);
-  record.true_material = in.vector("/true_material", 4);
+  if (in.has("/true_material")) record.true_material = in.vector("/true_material", 4);
   record.frames = in.shapes("/frames", vertices);
   if (record.frames.empty()) in.fail("/frames", "holds no frame");
   if (in.has("/rounds")) {

@@ -1,5 +1,6 @@
 #pragma once
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -35,7 +36,7 @@ struct SessionRecord {
   RestPositions rest;
   std::vector<Index> grasp_vertices;
   Positions start, goal, default_shape, final_shape;  ///< [V, 3] m
-  MaterialProperties true_material = MaterialProperties::Zero();
+  std::optional<MaterialProperties> true_material;    ///< nullopt: nobody knows it
   std::vector<Positions> frames;  ///< [12 segments + 1 + settle_frames()]: start, segments, release and settling
   std::vector<RoundRecord> rounds;
   std::vector<MaterialKnowledge> estimates;  ///< [segments] after each of them; empty when nothing was estimated
