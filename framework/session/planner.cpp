@@ -370,7 +370,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   const double noise = first ? params_.noise : params_.replan_noise;
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {
-    RandomStream random = RandomStream(request.seed, 0x706c616eull, static_cast<std::uint64_t>(request.round))
+    RandomStream random = RandomStream(request.seed, stream_key("plan"), static_cast<std::uint64_t>(request.round))
                               .child(static_cast<std::uint64_t>(i));
     for (Index k = 0; k < starts.rows(); ++k)
       starts(k, i) = centre(k) + (i == 0 ? 0.0 : noise * scale(k) * random.normal());
@@ -380,7 +380,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   PlanningObjective objective(task_, *predictor_, params_, weights_, request, plan.horizon);
   OptimiserOptions options;
   options.max_iterations = first ? params_.iterations : params_.replan_iterations;
-  options.seed = RandomStream(request.seed, 0x6f707469ull, static_cast<std::uint64_t>(request.round)).bits64();
+  options.seed = RandomStream(request.seed, stream_key("opti"), static_cast<std::uint64_t>(request.round)).bits64();
   const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
   if (params_.max_evaluations > 0) options.max_evaluations = params_.max_evaluations;
   const Index replayed =

@@ -43,7 +43,7 @@ export interface Summary {
   estimate_seconds: number[];
   simulate_seconds: number;
   refinement_seconds?: number;
-  max_grasp_strain?: number;
+  max_grasp_strain?: number | null;
   warnings: string[];
 }
 export interface SessionData {
@@ -52,7 +52,8 @@ export interface SessionData {
   released: boolean;
   /** Frame at which the hands let go; what follows is the settling. */
   release_frame: number;
-  true_material: number[];
+  /** Missing where nobody knows it. */
+  true_material?: number[];
   start_error_mm: number;
   frames: ArrayRef;
   goal: ArrayRef;
