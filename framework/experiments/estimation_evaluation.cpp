@@ -8,7 +8,7 @@
 
 #include "learning/dataset_files.hpp"
 #include "report/page.hpp"
-#include "session/estimator.hpp"
+#include "session/replay.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"
@@ -309,7 +309,7 @@ AblationRunner planning_runner(const EvaluationCases& cases, const fs::path& fol
     }
     SessionParams params;
     read_params(config, params);
-    const SessionResult result = run_session(params, config, host);
+    const SessionResult result = run_configured_session(params, config, host);
     fs::create_directories(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, width_level(params.drawn_width)));
     file.write("/goal", result.goal);

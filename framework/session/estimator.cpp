@@ -384,7 +384,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   const double noise = first ? params_.noise : params_.later_noise;
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {
-    RandomStream random = RandomStream(request.seed, 0x657374696dull, static_cast<std::uint64_t>(request.round))
+    RandomStream random = RandomStream(request.seed, stream_key("estim"), static_cast<std::uint64_t>(request.round))
                               .child(static_cast<std::uint64_t>(i));
     for (Index k = 0; k < starts.rows(); ++k) {
       const bool anywhere = params_.method != "plain" && i % 4 == 3 && k < 4;
@@ -394,7 +394,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   }
   OptimiserOptions options;
   options.max_iterations = first ? params_.iterations : params_.later_iterations;
-  options.seed = RandomStream(request.seed, 0x6573746f7074ull, static_cast<std::uint64_t>(request.round)).bits64();
+  options.seed = RandomStream(request.seed, stream_key("estopt"), static_cast<std::uint64_t>(request.round)).bits64();
   const auto observer = [&](Index iteration, const Vector&) {
     estimate.iterations = iteration;
     return !host_.cancelled();
@@ -411,6 +411,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   }
   if (!std::isfinite(estimate.loss))
     throw Error("estimation: no instance reached a finite loss: " + results.front().message);
+  estimate.ended = search_end(results, estimate.instance);
   const Vector& best = results[static_cast<std::size_t>(estimate.instance)].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});
   objective.rate(prediction->shapes().front(), estimate);

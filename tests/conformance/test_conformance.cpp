@@ -48,6 +48,28 @@ TEST_P(Kind, EveryLawHasAMutantThatFailsIt) {
   }
 }
 
+TEST_F(Conformance, ATrajectoryThatReturnsNaNFailsItsLaw) {
+  const std::pair<const char*, const char*> cases[] = {{"nan_advance", "advance_pullback_is_exact"},
+                                                       {"nan_d_state", "advance_pullback_is_exact"},
+                                                       {"nan_d_control", "advance_pullback_is_exact"},
+                                                       {"nan_targets", "starts_at_the_grasp_points"},
+                                                       {"nan_targets", "path_is_continuous"},
+                                                       {"nan_targets", "never_below_contact_height"},
+                                                       {"nan_targets", "targets_pullback_is_exact"},
+                                                       {"nan_targets_pullback", "targets_pullback_is_exact"},
+                                                       {"nan_progress", "default_controls_release"},
+                                                       {"nan_decode", "decode_encode_round_trip"},
+                                                       {"nan_decode", "decision_box_is_sound"},
+                                                       {"nan_decode", "decode_pullback_is_exact"},
+                                                       {"nan_encode", "decode_encode_round_trip"},
+                                                       {"nan_encode", "decision_box_is_sound"},
+                                                       {"nan_decode_pullback", "decode_pullback_is_exact"}};
+  for (const auto& [mutation, law] : cases) {
+    const auto r = check("trajectory", std::string("mutation: ") + mutation, {}, {law});
+    EXPECT_FALSE(r.at(0).passed) << mutation << ", " << law << ": measured " << r.at(0).measured;
+  }
+}
+
 TEST_P(Kind, LawsAreNamedAndExplained) {
   std::vector<std::string> names;
   for (const auto& law : list_laws(GetParam())) {

@@ -344,7 +344,7 @@ TEST_F(TorchScript, ASessionKeepsToWhatTheModuleTakes) {
                                         "test");
   SessionParams params;
   read_params(config, params);
-  const SessionResult result = run_session(params, config, *host_);
+  const SessionResult result = run_configured_session(params, config, *host_);
   ASSERT_EQ(result.rounds.size(), 5u);
   for (const auto& round : result.rounds) EXPECT_EQ(round.plan.horizon, 3);
   ASSERT_EQ(result.estimates.size(), 5u);

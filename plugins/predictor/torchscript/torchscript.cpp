@@ -258,22 +258,12 @@ class TorchPrediction final : public Prediction {
       }
       // Controls act directly and through the states after every segment.
       const Index s = g.state.size(), c = g.controls.cols();
-      const Controls states = trajectory.segment_states(task.manipulation, start_[i], controls_[i].topRows(k));
-      Vector carried = Vector::Zero(s), d_state, d_control;
-      for (Index j = k - 1; j >= 0; --j) {
-        carried += Eigen::Map<const Vector>(d_states.data() + (j + 1) * s, s);
-        const Vector control = controls_[i].row(j).transpose();
-        std::vector<Vector> frames{j == 0 ? start_[i] : Vector(states.row(j - 1).transpose())};
-        for (Index f = 1; f < kFramesPerSegment; ++f)
-          frames.push_back(trajectory.advance(task.manipulation, frames.back(), control));
-        for (std::size_t f = frames.size(); f-- > 0;) {
-          trajectory.advance_pullback(task.manipulation, frames[f], control, carried, d_state, d_control);
-          g.controls.row(j) += d_control.transpose();
-          carried = d_state;
-        }
-        g.controls.row(j) += Eigen::Map<const Vector>(d_controls.data() + j * c, c).transpose();
-      }
-      g.state = carried + Eigen::Map<const Vector>(d_states.data(), s);
+      const auto add = [&](Index j, Vector& d_state) {
+        d_state += Eigen::Map<const Vector>(d_states.data() + (j + 1) * s, s);
+      };
+      g.state = trajectory.pullback_states(task.manipulation, start_[i], controls_[i].topRows(k), add, g.controls) +
+                Eigen::Map<const Vector>(d_states.data(), s);
+      g.controls.topRows(k) += Eigen::Map<const Controls>(d_controls.data(), k, c);
     }
   }
 
