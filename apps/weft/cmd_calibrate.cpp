@@ -97,8 +97,8 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   for (std::size_t d = 0; d < counts.size(); ++d) {
     if (counts[d] == 0) {
       throw ConfigError(folders[d] +
-                        ": holds no example outside of its test split that the model's fit has not seen; leave it out, "
-                        "or make examples of another seed");
+                        ": holds no example outside of its test split that the model's fit has not seen; "
+                        "leave it out, or make examples of another seed");
     }
     context.say("calibrating on " + std::to_string(counts[d]) + " of the " + std::to_string(all[d]) + " examples of " +
                 folders[d]);
@@ -139,7 +139,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
 }  // namespace
 
 void register_calibrate(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("calibrate", "Find anew how wide a trained predictor's sigma must be");
+  CLI::App* command = app.add_subcommand("calibrate", "Refit a trained predictor's sigma to other examples");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   auto data = std::make_shared<std::vector<std::string>>();

@@ -8,7 +8,7 @@ namespace weft::emd {
 
 class Passes;
 
-/// Draws what one iteration trains on. Each draw is a function of (seed, iteration): a resumed fit sees the same batches.
+/// Draws what one iteration trains on. Draws are functions of (seed, iteration): a resumed fit sees the same batches.
 class BatchSampler {
  public:
   /// Keeps references to all but the seed. @param train positions in the dataset.
