@@ -314,9 +314,8 @@ class EstimationObjective final : public Objective {
       if (has_start_height_) result.jacobians[at](2 * seen, kThickness) = start_slope(x(kThickness, i));
     }
     if (!with_jacobians) return;
-    const auto derivatives =
-        directional_derivatives(predictor_, prediction, cases, directions, *task_.trajectory, Moments::mean_and_sigma,
-                                {.step = params_.difference_step}, &evaluations_);
+    const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, Moments::mean_and_sigma,
+                                 {.step = params_.difference_step}, &evaluations_);
     for (Index i = 0; i < n; ++i) {
       const auto at = static_cast<std::size_t>(i);
       if (!std::isfinite(result.costs(i))) continue;

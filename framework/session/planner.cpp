@@ -205,8 +205,8 @@ class PlanningObjective final : public Objective {
       }
     }
     if (!with_jacobians) return;
-    const auto derivatives = directional_derivatives(predictor_, prediction, cases, directions, *task_.trajectory,
-                                                     moments_, {.step = params_.difference_step}, &evaluations_);
+    const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, moments_,
+                                 {.step = params_.difference_step}, &evaluations_);
     for (std::size_t i = 0; i < variables.size(); ++i) {
       for (std::size_t k = 0; k < variables[i].size(); ++k) {
         const auto& change = derivatives[i][k].front();

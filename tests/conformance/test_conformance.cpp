@@ -116,6 +116,43 @@ TEST_F(Conformance, WhatIsNotDeclaredMustBeRefused) {
   EXPECT_TRUE(broken("predictor", "jvp_matches"));
 }
 
+/// Results of wrong sizes and NaNs: laws fail, none of them crashes.
+TEST_F(Conformance, PredictorsThatReturnTooLittleFail) {
+  const std::pair<std::string, std::string> mutants[] = {
+      {"null_prediction", "shapes_are_those_asked_for"},
+      {"one_result", "shapes_are_those_asked_for"},
+      {"missing_shapes", "shapes_are_those_asked_for"},
+      {"a_vertex_short", "shapes_are_those_asked_for"},
+      {"nan_mean", "numbers_are_sound"},
+      {"nan_mean_of_means", "numbers_are_sound"},
+      {"nan_sigma", "numbers_are_sound"},
+      {"gradient_of_one_case", "pullback_of_controls"},
+      {"no_d_controls", "pullback_of_controls"},
+      {"one_d_control", "pullback_of_controls"},
+      {"nan_d_controls", "pullback_of_controls"},
+      {"nan_d_controls_of_means", "zero_cotangents_may_be_empty"},
+      {"nan_d_centre", "pullback_of_centre"},
+      {"nan_d_width", "pullback_of_width"},
+      {"short_d_state", "pullback_of_state"},
+      {"nan_d_state", "pullback_of_state"},
+      {"short_d_shape", "pullback_of_shape"},
+      {"nan_d_shape", "pullback_of_shape"},
+      {"state_nobody_asked_for", "pullback_is_for_those_who_asked"},
+      {"shape_nobody_asked_for", "pullback_is_for_those_who_asked"},
+      {"jvp_of_one_case", "jvp_matches"},
+      {"jvp_of_one_direction", "jvp_matches"},
+      {"jvp_without_shapes", "jvp_matches"},
+      {"short_jvp", "jvp_matches"},
+      {"nan_jvp", "jvp_matches"},
+  };
+  for (const auto& [mutation, law] : mutants) {
+    for (const auto& r : check("predictor", "mutation: " + mutation)) {
+      if (r.law != law) continue;
+      EXPECT_FALSE(r.passed) << mutation << ": " << law << " measured " << r.measured;
+    }
+  }
+}
+
 TEST_F(Conformance, UndeclaredAbilitiesAreSaidToBe) {
   const auto r = check("simulator", "declare: false", {}, {"pinned_stays_pinned"});
   EXPECT_EQ(r.at(0).detail, "not declared; throws Unsupported");

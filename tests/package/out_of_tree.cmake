@@ -92,6 +92,16 @@ if(NOT error LESS default_error)
   message(FATAL_ERROR "the session ends ${error} mm off the goal, the default control ${default_error} mm")
 endif()
 
+# momentum needs gradients, which follow has not: a plan with the simulator as predictor.
+run(${weft} plan ${PLUGINS}/fold.yaml --set ${garment} --set predictor=rollout --set optimiser=momentum
+    --set planning.instances=1 --set planning.iterations=3 --out ${WORK}/plan)
+message(STATUS "${output}")
+file(READ ${WORK}/plan/plan.json plan)
+string(JSON error GET "${plan}" predicted_error_mm)
+if(NOT error LESS default_error)
+  message(FATAL_ERROR "the plan is predicted to end ${error} mm off the goal, the default control ${default_error} mm")
+endif()
+
 # And installed beside weft's own, without the variable.
 unset(ENV{WEFT_PLUGIN_PATH})
 run(${CMAKE_COMMAND} --install ${WORK}/build --prefix ${WORK}/prefix)

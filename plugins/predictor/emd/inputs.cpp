@@ -76,8 +76,7 @@ void CaseInputs::pullback(const Model& model, const std::vector<const float*>& d
   }
 }
 
-void CaseInputs::tangent(const Model& model, const CaseDirection& direction,
-                         std::vector<std::vector<float>>& to) const {
+void CaseInputs::jvp(const Model& model, const CaseDirection& direction, std::vector<std::vector<float>>& to) const {
   const auto& trajectory = *task_.trajectory;
   const Index steps = controls_.rows(), s = dim_.states, c = dim_.controls, g = 3 * dim_.hands;
   to.assign(static_cast<std::size_t>(steps), std::vector<float>(static_cast<std::size_t>(dim_.inputs())));
@@ -91,7 +90,7 @@ void CaseInputs::tangent(const Model& model, const CaseDirection& direction,
     const Vector control = controls_.row(j).transpose();
     Vector state = states_.row(j).transpose();
     for (Index frame = 0; frame < kFramesPerSegment; ++frame) {
-      // Rows of the Jacobians, one pullback each: a trajectory offers no tangent map.
+      // Rows of the Jacobians, one pullback each: a trajectory offers no jvp.
       Vector next(s);
       for (Index i = 0; i < s; ++i) {
         trajectory.advance_pullback(task_.manipulation, state, control, Vector::Unit(s, i), row_state, row_control);
