@@ -5,10 +5,9 @@
 #include <mutex>
 #include <nlohmann/json.hpp>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/physics/physics.hpp"
 #include "output.hpp"
-#include "page.hpp"
 #include "prepared.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"

@@ -1,9 +1,9 @@
 #include <cstdio>
 #include <iostream>
 
+#include "commands.hpp"
 #include "evaluation_run.hpp"
 #include "options.hpp"
-#include "page.hpp"
 
 namespace weft::app {
 namespace {

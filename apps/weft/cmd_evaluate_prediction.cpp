@@ -2,10 +2,9 @@
 #include <cstdio>
 #include <iostream>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/prediction_evaluation.hpp"
 #include "output.hpp"
-#include "page.hpp"
 #include "prepared.hpp"
 #include "weft/config.hpp"
 

@@ -17,7 +17,7 @@ struct PredictionEvaluationParams {
   void visit(Visitor& v) {
     v("split", split, choice({"train", "validation", "test", "all"}),
       "Examples to predict; `all` is for datasets that the model was neither trained nor calibrated on.");
-    v("max_examples", max_examples, range(0, 1e9), "Use that many of them; 0: all.");
+    v("max_examples", max_examples, range(0, 1e9), "Use that many of them; 0: all.", Decides::nothing);
     v("batch", batch, range(1, 4096), "Cases per call of the predictor.");
     v("random_starts", random_starts, range(1, 200),
       "Segments of an example that predictions from within it begin with: as many as it has, not its first.");
@@ -37,7 +37,7 @@ struct ExperimentParams : SessionParams {
   template <class Visitor>
   void visit(Visitor& v) {
     SessionParams::visit(v);
-    v.group("data", data, "How examples are made.");
+    v.group("data", data, "How examples are made.", Decides::examples);
     v("dataset", dataset, "Folder of the examples, for commands that read them.");
     v.group("evaluation", evaluation, "What `weft evaluate prediction` measures.");
   }
