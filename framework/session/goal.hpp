@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "simulation/random_controls.hpp"
+#include "simulation/task_config.hpp"
 #include "weft/host.hpp"
 #include "weft/params.hpp"
 #include "weft/task.hpp"

@@ -73,7 +73,8 @@ struct SessionParams {
     v.group("observation", observation, "What is seen of the cloth.");
     v.group("goal", goal, "The shape to reach.");
     v("true_material", true_material, range(0, 1),
-      "q of the executed fold; default: drawn from the seed, or, where a process executes it, unknown.", property_list());
+      "q of the executed fold; default: drawn from the seed, or, where a process executes it, unknown.",
+      property_list());
     v("knowledge", knowledge, choice({"none", "true", "given", "drawn", "estimate"}),
       "What the planner knows of the material; estimate: what the session has shown so far.");
     v("given_centre", given_centre, range(0, 1), "knowledge: given: c.", property_list());

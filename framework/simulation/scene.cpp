@@ -223,11 +223,6 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
       result.warnings.push_back(text);
     }
   };
-  const bool is_orthotropic = run.fabric.stretch_warp_n_per_m != run.fabric.stretch_weft_n_per_m ||
-                              run.fabric.bend_warp_n_m != run.fabric.bend_weft_n_m || run.fabric.tables != nullptr;
-  if (is_orthotropic && !capabilities.orthotropic) {
-    warn("the fabric differs between warp and weft, which this simulator does not declare (capability orthotropic)");
-  }
   if (run.scene.ground_height && run.fabric.friction > 0.0 && !capabilities.ground_friction) {
     warn("the fabric has ground friction, which this simulator does not declare (capability ground_friction)");
   }
