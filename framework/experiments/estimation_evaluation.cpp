@@ -7,7 +7,7 @@
 #include <numeric>
 
 #include "learning/dataset_files.hpp"
-#include "report/page.hpp"
+#include "report/cases_file.hpp"
 #include "session/estimator.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"

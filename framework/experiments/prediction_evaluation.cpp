@@ -14,7 +14,7 @@
 #include <tuple>
 
 #include "learning/held_out.hpp"
-#include "report/page.hpp"
+#include "report/cases_file.hpp"
 
 namespace weft {
 namespace {

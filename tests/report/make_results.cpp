@@ -15,6 +15,7 @@
 
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
+#include "report/cases_file.hpp"
 #include "report/page.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
