@@ -6,7 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "context.hpp"
-#include "experiments/physics/physics.hpp"
+#include "experiments/physics/suite.hpp"
 #include "output.hpp"
 #include "page.hpp"
 #include "prepared.hpp"

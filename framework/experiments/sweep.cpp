@@ -12,7 +12,7 @@
 #include <thread>
 
 #include "experiments/cpu_time.hpp"
-#include "experiments/physics/physics.hpp"
+#include "experiments/physics/suite.hpp"
 #include "loader/program_host.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
