@@ -3,6 +3,7 @@
 #include <iostream>
 
 #include "context.hpp"
+#include "experiments/experiment_config.hpp"
 #include "experiments/prediction_evaluation.hpp"
 #include "output.hpp"
 #include "page.hpp"
