@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
-#include "experiments/sweep.hpp"
+#include "experiments/ablation.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 #include "weft/hdf5_file.hpp"

@@ -353,8 +353,8 @@ std::vector<PhysicsRow> keep_momentum(const PhysicsParams& p, const Variants& va
       row("momentum", variants[0], "1 s of free flight, speeds 1 m/s at random", "drift m/s", 0.0, error, error, 1e-4)};
 }
 
-/// A strip dropped on end: it falls, crumples, folds over itself and comes to rest. Kinetic plus potential energy may go
-/// into the cloth and never exceeds what was there.
+/// A strip is dropped upright: it falls, crumples, folds over itself and comes to rest. Kinetic plus potential energy
+/// may go into the cloth and never exceeds what was there.
 std::vector<PhysicsRow> drop_on_end(const PhysicsParams& p, const Variants& variants) {
   Sheet sheet = strip(0.3, 0.1, p.garment_edge_m, Pattern::irregular);
   for (Index i = 0; i < sheet.positions.rows(); ++i) {
