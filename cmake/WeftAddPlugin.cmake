@@ -2,6 +2,7 @@
 #                 [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
 # Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
 # `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
+# Where nobody has chosen a build type it becomes Release: without optimisation the laws of a simulator take minutes.
 function(weft_add_plugin name)
   cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;MARCH;CONFORMANCE;OUTPUT_DIRECTORY" "SOURCES;LIBRARIES" ${ARGN})
   if(NOT ARG_KIND MATCHES "^(simulator|predictor|trajectory|optimiser)$")
@@ -9,6 +10,11 @@ function(weft_add_plugin name)
   endif()
   if(NOT ARG_OUTPUT_DIRECTORY)
     set(ARG_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/${CMAKE_INSTALL_LIBDIR}/weft/plugins)
+  endif()
+  get_property(multi_config GLOBAL PROPERTY GENERATOR_IS_MULTI_CONFIG)
+  if(NOT CMAKE_BUILD_TYPE AND NOT multi_config AND PROJECT_IS_TOP_LEVEL)
+    message(STATUS "weft_add_plugin(${name}): no CMAKE_BUILD_TYPE was given, so it is Release")
+    set(CMAKE_BUILD_TYPE Release CACHE STRING "Build type" FORCE)
   endif()
   set(target weft_${ARG_KIND}_${name})
   add_library(${target} MODULE ${ARG_SOURCES})
@@ -18,12 +24,16 @@ function(weft_add_plugin name)
   set_target_properties(${target} PROPERTIES
     PREFIX "lib" OUTPUT_NAME ${target} CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON
     LIBRARY_OUTPUT_DIRECTORY ${ARG_OUTPUT_DIRECTORY})
+  # An installed plugin finds libweft.so two folders up, also after the tree was moved. A plugin that is installed apart
+  # from weft finds it in the folder that it was linked from.
+  set_property(TARGET ${target} APPEND PROPERTY INSTALL_RPATH "$ORIGIN/../..")
+  set_target_properties(${target} PROPERTIES INSTALL_RPATH_USE_LINK_PATH ON)
   if(ARG_MARCH)
     target_compile_options(${target} PRIVATE -march=${ARG_MARCH})
   endif()
   if(COMMAND weft_compile_options)
     weft_compile_options(${target})
-    set_target_properties(${target} PROPERTIES INSTALL_RPATH "$ORIGIN/../..")
+    set_target_properties(${target} PROPERTIES INSTALL_RPATH "$ORIGIN/../..")  # CMAKE_INSTALL_RPATH is that of programs
   endif()
   if(ARG_CONFORMANCE)
     # Tolerances live with the plugin: beside the library under the library's name.

@@ -1,5 +1,6 @@
 # cmake --install: the program, the framework library and its headers, the plugins (weft_add_plugin installs each),
-# configs under share/weft, and a package config for find_package(weft). The installed tree can be moved.
+# configs under share/weft, documents and the example plugins under share/doc/weft, and a package config for
+# find_package(weft). The installed tree can be moved.
 include(CMakePackageConfigHelpers)
 
 install(TARGETS weft_framework EXPORT weftTargets LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
@@ -8,6 +9,17 @@ install(DIRECTORY ${PROJECT_SOURCE_DIR}/framework/include/weft DESTINATION ${CMA
 if(EXISTS ${PROJECT_SOURCE_DIR}/configs)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/configs DESTINATION ${CMAKE_INSTALL_DATADIR}/weft)
 endif()
+# The documents keep their places to one another, so that links between them work.
+install(FILES ${PROJECT_SOURCE_DIR}/README.md ${PROJECT_SOURCE_DIR}/CHANGELOG.md ${PROJECT_SOURCE_DIR}/MIGRATION.md
+              ${PROJECT_SOURCE_DIR}/LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR})
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs DESTINATION ${CMAKE_INSTALL_DOCDIR})
+file(GLOB readmes CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR} ${PROJECT_SOURCE_DIR}/plugins/*/*/README.md)
+foreach(readme ${readmes})
+  get_filename_component(folder ${readme} DIRECTORY)
+  install(FILES ${PROJECT_SOURCE_DIR}/${readme} DESTINATION ${CMAKE_INSTALL_DOCDIR}/${folder})
+endforeach()
+# One complete plugin of each kind, as the package test builds them: a project of its own.
+install(DIRECTORY ${PROJECT_SOURCE_DIR}/tests/package/plugins/ DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples)
 
 set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/weft)
 install(EXPORT weftTargets NAMESPACE weft:: DESTINATION ${package_folder})

@@ -6,7 +6,7 @@
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
-#include "session/session.hpp"
+#include "session/replay.hpp"
 #include "simulation/task_config.hpp"
 
 // `weft plan` and `weft estimate`: one half of a session alone.
@@ -39,6 +39,7 @@ ordered_json to_json(const LonePlan& lone) {
           {"loss", plan.loss},
           {"losses", plan.losses},
           {"instance", plan.instance},
+          {"ended", to_json(plan.ended)},
           {"iterations", plan.iterations},
           {"evaluations", plan.evaluations},
           {"plan_seconds", plan.seconds},
@@ -55,9 +56,11 @@ ordered_json to_json(const LoneEstimates& lone) {
                     {"loss", one.loss},
                     {"nll", one.nll},
                     {"misfit", one.misfit},
+                    {"ended", to_json(one.ended)},
                     {"estimate_seconds", one.seconds}});
   }
-  return {{"true_material", to_list(lone.true_material)}, {"estimates", list}};
+  return {{"true_material", lone.true_material ? ordered_json(to_list(*lone.true_material)) : ordered_json()},
+          {"estimates", list}};
 }
 
 /// Reads the config and the recorded session, lets `compute` work, saves what it returns as NAME.json.
@@ -106,7 +109,7 @@ int estimate(Context& context, const Options& options) {
         };
         for (std::size_t j = 0; j < lone.estimates.size(); ++j)
           row("segment " + std::to_string(j + 1), lone.estimates[j].knowledge);
-        row("truth", MaterialKnowledge::certain(lone.true_material));
+        if (lone.true_material) row("truth", MaterialKnowledge::certain(*lone.true_material));
         return to_json(lone);
       });
 }

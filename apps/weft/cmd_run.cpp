@@ -7,6 +7,7 @@
 #include "page.hpp"
 #include "prepared.hpp"
 #include "session/session.hpp"
+#include "session/session_file.hpp"
 
 namespace weft::app {
 namespace {
@@ -26,8 +27,14 @@ int run(Context& context, const std::string& file) {
                   round.plan.releases ? "" : "  (no release yet)");
     context.say(line);
   };
-  const SessionResult result = run_session(given.params, given.config, *given.host, progress);
+  const SessionResult result = run_configured_session(given.params, given.config, *given.host, progress);
   ConfigNode saved = given.saved_config(folder);
+  const EnvironmentParams& environment = given.params.environment;
+  if (!environment.simulated() && environment.folder.empty()) {
+    // The command must run from another folder's config as it did from this one.
+    const auto started_in = std::filesystem::absolute(place(given.config, "environment.command").folder());
+    saved = saved.with("environment.folder", ConfigNode::quoted(started_in.string()));
+  }
   if (given.params.planning.time_budget_s > 0) {
     std::vector<ConfigNode> counts;
     for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
@@ -42,8 +49,9 @@ int run(Context& context, const std::string& file) {
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) std::cout << summary;
   char line[200];
-  std::snprintf(line, sizeof(line), "error %.1f mm after %zu segments (default control: %.1f mm)", result.error_mm,
-                result.rounds.size(), result.default_error_mm);
+  std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm)",
+                result.shapes_are_true ? "" : "observed ", result.error_mm, result.rounds.size(),
+                result.default_error_mm);
   context.say(line);
   if (!result.rounds.empty()) {
     double replan = 0.0, estimate = 0.0;

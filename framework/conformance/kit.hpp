@@ -77,6 +77,26 @@ class Refusals {
   std::string detail_;
 };
 
+/// The largest value that a law measures, at least 0. A NaN stays, so that the law fails: std::max() and Eigen's
+/// maxCoeff() pass over NaN.
+class Worst {
+ public:
+  void add(double value) {
+    if (!std::isnan(worst_) && !(value <= worst_)) worst_ = value;
+  }
+  /// Each entry of an array.
+  template <class Derived>
+  void add(const Eigen::DenseBase<Derived>& values) {
+    for (Index c = 0; c < values.cols(); ++c)
+      for (Index r = 0; r < values.rows(); ++r) add(values.derived().coeff(r, c));
+  }
+  double value() const { return worst_; }
+  Outcome outcome() const { return {worst_, ""}; }
+
+ private:
+  double worst_ = 0.0;
+};
+
 /// Numbers that differ in at least one bit; a different shape counts as all of them.
 template <class A, class B>
 double differing(const A& a, const B& b) {

@@ -59,29 +59,33 @@ struct Fold {
   /// From the start; from the start, further; and in mid-air, one segment on.
   std::vector<PredictionCase> cases() const {
     std::vector<PredictionCase> all = {ask(2, {1, 2}, 1), ask(3, {3}, 2), ask(2, {2}, 3)};
-    PredictionRequest mean;
-    mean.moments = Moments::mean;
-    const auto first = predictor->predict({ask(1, {1}, 4)}, mean);
+    const auto first = predict({ask(1, {1}, 4)}, {.moments = Moments::mean});
     if (!first->failure(0).empty()) throw Error("case 0 failed: " + first->failure(0));
     all[2].previous = shape;
     all[2].shape = std::make_shared<const Positions>(first->shapes().at(0).at(0).mean);
     all[2].state = task.trajectory->segment_states(task.manipulation, start, controls(1, 4)).row(0).transpose();
     return all;
   }
-  /// A prediction whose shapes have the sizes that were asked for; a failed case has none.
-  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases, bool gradients = false) const {
-    PredictionRequest request;
-    request.gradients = gradients;
+  /// Everything that can be differentiated.
+  PredictionRequest all_gradients() const {
+    return {.gradients = true,
+            .state_gradients = capabilities.state_gradients,
+            .shape_gradients = capabilities.shape_gradients};
+  }
+  /// predict(), which must return shapes of the sizes that were asked for; a failed case may have none.
+  std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
+                                      const PredictionRequest& request = {}) const {
     auto prediction = predictor->predict(cases, request);
+    if (!prediction) throw Error("predict() returned null");
     const auto& shapes = prediction->shapes();
-    require_shape("cases of shapes()", static_cast<Index>(shapes.size()), static_cast<Index>(cases.size()));
+    require_shape("cases of shapes()", shapes.size(), cases.size());
     for (std::size_t i = 0; i < cases.size(); ++i) {
       if (!prediction->failure(i).empty() && shapes[i].empty()) continue;
-      require_shape("shapes of a case", static_cast<Index>(shapes[i].size()),
-                    static_cast<Index>(cases[i].segments.size()));
+      const std::string of = " of case " + std::to_string(i);
+      require_shape("shapes" + of, shapes[i].size(), cases[i].segments.size());
       for (const auto& s : shapes[i]) {
-        require_shape("rows of a mean", s.mean.rows(), vertices());
-        require_shape("rows of a sigma", s.sigma.rows(), vertices());
+        require_shape("rows of a mean" + of, s.mean.rows(), vertices());
+        require_shape("rows of a sigma" + of, s.sigma.rows(), request.moments == Moments::mean ? 0 : vertices());
       }
     }
     return prediction;
@@ -120,14 +124,12 @@ Cotangents smooth_cotangents(const Fold& fold, const std::vector<PredictionCase>
   return all;
 }
 
-/// pullback() with one gradient per case, of the size of its controls (or none, where those were not asked for).
+/// pullback(), which must return one gradient per case, with its controls in full.
 std::vector<CaseGradient> pull(const Prediction& prediction, const std::vector<PredictionCase>& cases,
                                const Cotangents& weights) {
   auto gradients = prediction.pullback(weights);
-  require_shape("cases of pullback()", static_cast<Index>(gradients.size()), static_cast<Index>(cases.size()));
+  require_shape("cases of pullback()", gradients.size(), cases.size());
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    if (gradients[i].controls.size() == 0)
-      gradients[i].controls = Controls::Zero(cases[i].controls.rows(), cases[i].controls.cols());
     require_shape("rows of d controls", gradients[i].controls.rows(), cases[i].controls.rows());
     require_shape("columns of d controls", gradients[i].controls.cols(), cases[i].controls.cols());
   }
@@ -184,7 +186,7 @@ Outcome pullback_error(const Fold& fold, double step,
                        const std::function<Direction(const PredictionCase&, RandomStream&)>& direction) {
   const auto cases = fold.cases();
   const auto weights = smooth_cotangents(fold, cases);
-  const auto prediction = fold.predict(cases, true);
+  const auto prediction = fold.predict(cases, fold.all_gradients());
   if (const auto text = failures(*prediction, cases.size()); !text.empty()) return failed(text);
   const auto gradients = pull(*prediction, cases, weights);
   double error = 0.0, size = 0.0;
@@ -224,8 +226,8 @@ Outcome pullback_error(const Fold& fold, double step,
 Outcome refuses_gradients(const Fold& fold) {
   Refusals refusals;
   const auto cases = fold.cases();
-  refusals.wants<Unsupported>("pullback()",
-                              [&] { fold.predict(cases, true)->pullback(smooth_cotangents(fold, cases)); });
+  refusals.wants<Unsupported>(
+      "pullback()", [&] { fold.predict(cases, {.gradients = true})->pullback(smooth_cotangents(fold, cases)); });
   return refusals.outcome().measured > 0 ? refusals.outcome() : undeclared();
 }
 
@@ -265,12 +267,13 @@ Outcome pullback_of_width(const Bench& bench) {
   });
 }
 
-/// An undeclared part of the gradient is left out; without any gradients pullback() throws Unsupported.
+/// An undeclared part of the gradient is left out, though asked for; without any gradients pullback() throws Unsupported.
 Outcome part_left_out(const Fold& fold, const std::string& what,
                       const std::function<bool(const CaseGradient&)>& empty) {
   if (!fold.capabilities.gradients) return refuses_gradients(fold);
   const auto cases = fold.cases();
-  for (const auto& g : fold.predict(cases, true)->pullback(smooth_cotangents(fold, cases)))
+  const PredictionRequest request{.gradients = true, .state_gradients = true, .shape_gradients = true};
+  for (const auto& g : pull(*fold.predict(cases, request), cases, smooth_cotangents(fold, cases)))
     if (!empty(g)) return failed("not declared, yet d " + what + " is not empty");
   return {0.0, "not declared; left out of the gradient"};
 }
@@ -329,14 +332,18 @@ Outcome jvp_matches(const Bench& bench) {
   }
   if (!fold.capabilities.jvp) {
     Refusals refusals;
-    refusals.wants<Unsupported>("jvp()", [&] { fold.predict(cases, fold.capabilities.gradients)->jvp(directions); });
+    const PredictionRequest request{.gradients = fold.capabilities.gradients};
+    refusals.wants<Unsupported>("jvp()", [&] { fold.predict(cases, request)->jvp(directions); });
     return refusals.outcome().measured > 0 ? refusals.outcome() : undeclared();
   }
-  const auto slopes = fold.predict(cases, true)->jvp(directions);
+  const auto slopes = fold.predict(cases, {.gradients = true})->jvp(directions);
+  require_shape("cases of jvp()", slopes.size(), cases.size());
   double error = 0.0, size = 0.0;
   const double step = 0.03;
   for (std::size_t i = 0; i < cases.size(); ++i) {
+    require_shape("directions of jvp()", slopes[i].size(), directions[i].size());
     for (std::size_t n = 0; n < directions[i].size(); ++n) {
+      require_shape("shapes of jvp()", slopes[i][n].size(), cases[i].segments.size());
       Direction d;
       d.controls = directions[i][n].controls;
       d.centre = directions[i][n].centre;
@@ -344,13 +351,14 @@ Outcome jvp_matches(const Bench& bench) {
       std::vector<PredictionCase> all;
       for (double k : kSteps) all.push_back(moved(cases[i], d, k * step));
       const auto prediction = fold.predict(all);
+      if (const auto text = failures(*prediction, all.size()); !text.empty()) return failed(text);
       for (std::size_t s = 0; s < cases[i].segments.size(); ++s) {
         Positions mean = Positions::Zero(fold.vertices(), 3), sigma = mean;
         for (std::size_t k = 0; k < 4; ++k) {
           mean += kWeights[k] / step * prediction->shapes()[k][s].mean;
           sigma += kWeights[k] / step * prediction->shapes()[k][s].sigma;
         }
-        const auto& got = slopes.at(i).at(n).at(s);
+        const auto& got = slopes[i][n][s];
         require_shape("rows of a jvp's mean", got.mean.rows(), fold.vertices());
         require_shape("rows of a jvp's sigma", got.sigma.rows(), fold.vertices());
         error += (got.mean - mean).squaredNorm() + (got.sigma - sigma).squaredNorm();
@@ -369,19 +377,21 @@ Outcome pullback_is_for_those_who_asked(const Bench& bench) {
   refusals.wants<Unsupported>("pullback() of a prediction without gradients",
                               [&] { fold.predict(cases)->pullback(weights); });
   if (!fold.capabilities.gradients) return refusals.outcome();
-  // Of controls and knowledge, the one not asked for comes back as zeros, and the other as if both had been.
-  const auto both = pull(*fold.predict(cases, true), cases, weights);
-  PredictionRequest request;
-  request.gradients = true;
-  request.control_gradients = false;
-  const auto knowledge = pull(*fold.predictor->predict(cases, request), cases, weights);
-  request.control_gradients = true;
-  request.knowledge_gradients = false;
-  const auto controls = pull(*fold.predictor->predict(cases, request), cases, weights);
+  // Of controls and knowledge, the one not asked for comes back as zeros; state and shape only when asked for. What was
+  // asked for does not depend on that.
+  const auto all = pull(*fold.predict(cases, fold.all_gradients()), cases, weights);
+  const auto both = pull(*fold.predict(cases, {.gradients = true}), cases, weights);
+  const auto knowledge = pull(*fold.predict(cases, {.gradients = true, .control_gradients = false}), cases, weights);
+  const auto controls = pull(*fold.predict(cases, {.gradients = true, .knowledge_gradients = false}), cases, weights);
   const auto near = [](const auto& a, const auto& b) { return (a - b).norm() <= 1e-9 * (a.norm() + b.norm()); };
   for (std::size_t i = 0; i < cases.size(); ++i) {
     if (!knowledge[i].controls.isZero(0.0)) refusals.miss("d controls, not asked for,");
     if (!controls[i].centre.isZero(0.0) || !controls[i].width.isZero(0.0)) refusals.miss("d knowledge, not asked for,");
+    if (both[i].state.size() > 0) refusals.miss("d state, not asked for,");
+    if (both[i].shape.rows() > 0) refusals.miss("d shape, not asked for,");
+    if (!near(all[i].controls, both[i].controls) || !near(all[i].centre, both[i].centre) ||
+        !near(all[i].width, both[i].width))
+      refusals.miss("another gradient when state and shape were asked for too");
     if (!near(controls[i].controls, both[i].controls) || !near(knowledge[i].centre, both[i].centre) ||
         !near(knowledge[i].width, both[i].width))
       refusals.miss("another gradient when only one of the two was asked for");
@@ -402,15 +412,27 @@ Outcome zero_cotangents_may_be_empty(const Bench& bench) {
       (mean ? holes[i][s].mean : holes[i][s].sigma).resize(0, 3);
     }
   }
-  const auto prediction = fold.predict(cases, true);
-  const auto a = pull(*prediction, cases, weights), b = pull(*prediction, cases, holes);
-  double error = 0.0, size = 1e-12;
+  const auto difference = [&](const std::vector<CaseGradient>& a, const std::vector<CaseGradient>& b) {
+    double error = 0.0, size = 1e-12;
+    for (std::size_t i = 0; i < cases.size(); ++i) {
+      error += (a[i].controls - b[i].controls).norm() + (a[i].centre - b[i].centre).norm() +
+               (a[i].width - b[i].width).norm();
+      size += a[i].controls.norm() + a[i].centre.norm() + a[i].width.norm();
+    }
+    return error / size;
+  };
+  const auto prediction = fold.predict(cases, {.gradients = true});
+  const double of_holes = difference(pull(*prediction, cases, weights), pull(*prediction, cases, holes));
+  // Planning predicts means alone.
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    error +=
-        (a[i].controls - b[i].controls).norm() + (a[i].centre - b[i].centre).norm() + (a[i].width - b[i].width).norm();
-    size += a[i].controls.norm() + a[i].centre.norm() + a[i].width.norm();
+    for (std::size_t s = 0; s < weights[i].size(); ++s) {
+      weights[i][s].sigma.setZero();
+      holes[i][s] = {weights[i][s].mean, Positions(0, 3)};
+    }
   }
-  return {error / size, ""};
+  const auto means = fold.predict(cases, {.moments = Moments::mean, .gradients = true});
+  const double of_means = difference(pull(*prediction, cases, weights), pull(*means, cases, holes));
+  return {of_holes + of_means, ""};
 }
 
 /// Numbers in which two predictions differ; `i`, `j`: the cases compared.
@@ -429,14 +451,13 @@ double differing_gradient(const CaseGradient& a, const CaseGradient& b) {
 /// A batch of cases, to compare each of them with what it gives in another batch.
 struct BatchOfCases {
   explicit BatchOfCases(const Fold& of) : fold(of) {
-    if (fold.capabilities.gradients) gradients = pull(*prediction, cases, weights);
+    if (request.gradients) gradients = pull(*prediction, cases, weights);
   }
   /// Numbers of case i, shapes and gradients, that differ when it stands in `row` of `others`.
   double differing(std::size_t i, const std::vector<PredictionCase>& others, std::size_t row) const {
-    const bool with_gradients = fold.capabilities.gradients;
-    const auto other = fold.predict(others, with_gradients);
+    const auto other = fold.predict(others, request);
     double wrong = differing_case(*prediction, i, *other, row);
-    if (!with_gradients) return wrong;
+    if (!request.gradients) return wrong;
     auto cotangents = smooth_cotangents(fold, others);
     cotangents[row] = weights[i];
     return wrong + differing_gradient(gradients[i], pull(*other, others, cotangents).at(row));
@@ -445,7 +466,8 @@ struct BatchOfCases {
   const Fold& fold;
   std::vector<PredictionCase> cases = fold.cases();
   std::vector<std::vector<ShapeCotangent>> weights = smooth_cotangents(fold, cases);
-  std::unique_ptr<Prediction> prediction = fold.predict(cases, fold.capabilities.gradients);
+  PredictionRequest request = fold.capabilities.gradients ? fold.all_gradients() : PredictionRequest();
+  std::unique_ptr<Prediction> prediction = fold.predict(cases, request);
   std::vector<CaseGradient> gradients;
 };
 
@@ -492,15 +514,16 @@ Outcome predictions_live_side_by_side(const Bench& bench) {
   const auto cases = fold.cases();
   const auto weights = smooth_cotangents(fold, cases);
   const bool gradients = fold.capabilities.gradients;
-  auto first = fold.predict(cases, gradients);
+  const PredictionRequest request = gradients ? fold.all_gradients() : PredictionRequest();
+  auto first = fold.predict(cases, request);
   std::vector<std::vector<ShapeDistribution>> copy = first->shapes();
   std::vector<CaseGradient> before;
   if (gradients) before = pull(*first, cases, weights);
   // Others come and go; their inputs go as well.
   for (int k = 0; k < 2; ++k) {
     std::vector<PredictionCase> others = {fold.ask(1, {1}, 50 + static_cast<std::uint64_t>(k)), fold.ask(2, {2}, 60)};
-    const auto other = fold.predict(others, gradients);
-    if (gradients) other->pullback(smooth_cotangents(fold, others));
+    const auto other = fold.predict(others, request);
+    if (gradients) pull(*other, others, smooth_cotangents(fold, others));
   }
   const auto& now = first->shapes();
   if (now.size() != copy.size()) return failed("the prediction has another number of cases now");
@@ -538,27 +561,12 @@ Outcome shapes_are_those_asked_for(const Bench& bench) {
   Refusals wrong;
   const std::vector<PredictionCase> cases = {fold.ask(3, {1, 2, 3}, 1), fold.ask(3, {2}, 1), fold.ask(2, {}, 5),
                                              fold.ask(1, {1}, 6)};
-  const auto all = fold.predictor->predict(cases, {});
-  PredictionRequest request;
-  request.moments = Moments::mean;
-  const auto means = fold.predictor->predict(cases, request);
-  for (const Prediction* p : {all.get(), means.get()}) {
-    if (p->shapes().size() != cases.size()) return failed("another number of cases than asked for");
+  const auto all = fold.predict(cases),
+             means = fold.predict(cases, {.moments = Moments::mean});  // which check the sizes
+  for (const Prediction* p : {all.get(), means.get()})
     if (const auto text = failures(*p, cases.size()); !text.empty()) return failed(text);
-    for (std::size_t i = 0; i < cases.size(); ++i) {
-      if (p->shapes()[i].size() != cases[i].segments.size()) {
-        wrong.miss("case " + std::to_string(i) + " with another number of shapes than segments asked for");
-        continue;
-      }
-      for (const auto& s : p->shapes()[i]) {
-        if (s.mean.rows() != fold.vertices()) wrong.miss("a mean with " + std::to_string(s.mean.rows()) + " rows");
-        if (s.sigma.rows() != (p == all.get() ? fold.vertices() : 0))
-          wrong.miss("a sigma with " + std::to_string(s.sigma.rows()) + " rows");
-      }
-    }
-  }
   // Segment 2 is segment 2, whether or not its neighbours are wanted; only float rounding may differ between requests.
-  if (wrong.outcome().measured == 0 && fold.capabilities.deterministic) {
+  if (fold.capabilities.deterministic) {
     const double gap = (all->shapes()[0][1].mean - all->shapes()[1][0].mean).cwiseAbs().maxCoeff();
     if (!(gap < 1e-5))
       wrong.miss("segment 2 that is another one when asked for alone (by " + std::to_string(gap) + " m)");
@@ -576,13 +584,30 @@ Outcome numbers_are_sound(const Bench& bench) {
       cases.back().knowledge.width.setConstant(w);
     }
   }
-  const auto prediction = fold.predict(cases);
-  if (const auto text = failures(*prediction, cases.size()); !text.empty()) return failed(text);
   double wrong = 0.0;
-  for (const auto& shapes : prediction->shapes()) {
-    for (const auto& s : shapes) {
-      wrong += static_cast<double>((!s.mean.array().isFinite()).count() + (!s.sigma.array().isFinite()).count());
-      wrong += static_cast<double>((s.sigma.array() <= 0.0).count());
+  const auto count = [&](const auto& array) { wrong += static_cast<double>((!array.array().isFinite()).count()); };
+  for (const bool with_gradients : {false, true}) {
+    for (const Moments moments : {Moments::mean_and_sigma, Moments::mean}) {
+      if (with_gradients && !fold.capabilities.gradients) continue;
+      PredictionRequest request = with_gradients ? fold.all_gradients() : PredictionRequest();
+      request.moments = moments;
+      const auto prediction = fold.predict(cases, request);
+      if (const auto text = failures(*prediction, cases.size()); !text.empty()) return failed(text);
+      for (const auto& shapes : prediction->shapes()) {
+        for (const auto& s : shapes) {
+          count(s.mean);
+          count(s.sigma);
+          wrong += static_cast<double>((s.sigma.array() <= 0.0).count());
+        }
+      }
+      if (!with_gradients || moments == Moments::mean) continue;
+      for (const auto& g : pull(*prediction, cases, smooth_cotangents(fold, cases))) {
+        count(g.controls);
+        count(g.centre);
+        count(g.width);
+        count(g.state);
+        count(g.shape);
+      }
     }
   }
   return {wrong, ""};
@@ -722,17 +747,17 @@ const std::vector<Law>& predictor_laws() {
        0.02, pullback_of_controls},
       {"pullback_of_centre", "gradients: the same for the centre of the material knowledge.", 0.02, pullback_of_centre},
       {"pullback_of_width", "gradients: the same for its width.", 0.02, pullback_of_width},
-      {"pullback_of_state", "state_gradients: the same for the control state; undeclared: left out.", 0.02,
-       pullback_of_state},
-      {"pullback_of_shape", "shape_gradients: the same for the start shape; undeclared: left out.", 0.02,
-       pullback_of_shape},
+      {"pullback_of_state", "state_gradients: the same for the control state, when asked for; undeclared: left out.",
+       0.02, pullback_of_state},
+      {"pullback_of_shape", "shape_gradients: the same for the start shape, when asked for; undeclared: left out.",
+       0.02, pullback_of_shape},
       {"jvp_matches", "jvp: directional derivatives agree with central differences of predict (relative).", 0.02,
        jvp_matches},
       {"pullback_is_for_those_who_asked",
-       "pullback() throws Unsupported unless asked for; of controls and knowledge, only what was asked for "
-       "(violations).",
-       0, pullback_is_for_those_who_asked},
-      {"zero_cotangents_may_be_empty", "gradients: a cotangent without rows stands for zeros (relative).", 1e-9,
+       "pullback() throws Unsupported unless asked for; only what was asked for is differentiated (violations).", 0,
+       pullback_is_for_those_who_asked},
+      {"zero_cotangents_may_be_empty",
+       "gradients: a cotangent without rows stands for zeros, also where only means were predicted (relative).", 1e-9,
        zero_cotangents_may_be_empty},
       {"batch_equals_singles",
        "deterministic: shapes and gradients of a case do not depend on its batch (numbers that differ).", 0,
@@ -751,7 +776,7 @@ const std::vector<Law>& predictor_laws() {
        "Only the asked segments and moments come back, in order and in size (violations).", 0,
        shapes_are_those_asked_for},
       {"numbers_are_sound",
-       "Means and sigmas are finite and sigma > 0, also at the corners of the knowledge (numbers).", 0,
+       "Means, sigmas and gradients are finite and sigma > 0, also at the corners of the knowledge (numbers).", 0,
        numbers_are_sound},
       {"a_failed_case_costs_only_itself",
        "A case beyond all numbers is recorded as failed and changes no other (numbers).", 0,

@@ -69,6 +69,7 @@ Vector normals(Index size, RandomStream& random) {
 /// Relative error of a gradient against central differences of f at x, in units of the scales. Fourth order.
 double gradient_error(const std::function<double(const Vector&)>& f, const Vector& x, const Vector& gradient,
                       const Vector& scale) {
+  require_shape("size of a gradient", gradient.size(), x.size());
   Vector slope(x.size());
   for (Index i = 0; i < x.size(); ++i) {
     const double h = 1e-3;
@@ -110,54 +111,54 @@ Outcome variables_are_well_formed(const Bench& bench) {
 
 Outcome starts_at_the_grasp_points(const Bench& bench) {
   const auto t = bench.make<Trajectory>();
-  double worst = 0.0;
+  Worst worst;
   for_manipulations(*t, [&](const Manipulation& m) {
     const Positions g = t->targets(m, t->initial_state(m));
     require_shape("rows of targets()", g.rows(), t->hands());
-    worst = std::max(worst, (g - m.grasp_points).cwiseAbs().maxCoeff());
+    worst.add((g - m.grasp_points).cwiseAbs());
   });
-  return {worst, ""};
+  return worst.outcome();
 }
 
 Outcome advance_pullback_is_exact(const Bench& bench) {
   const auto t = bench.make<Trajectory>();
   RandomStream random(11);
-  double worst = 0.0;
+  Worst worst;
   for_manipulations(*t, [&](const Manipulation& m) {
     for (int trial = 0; trial < 10; ++trial) {
       const Vector state = random_state(*t, m, random), control = random_control(*t, random);
       const Vector w = normals(state.size(), random).cwiseQuotient(scales(t->state()));
       Vector d_state = Vector::Constant(2, 99.0), d_control = Vector::Constant(7, 99.0);  // overwritten, not added to
       t->advance_pullback(m, state, control, w, d_state, d_control);
-      worst = std::max(worst, gradient_error([&](const Vector& x) { return t->advance(m, x, control).dot(w); }, state,
-                                             d_state, scales(t->state())));
-      worst = std::max(worst, gradient_error([&](const Vector& x) { return t->advance(m, state, x).dot(w); }, control,
-                                             d_control, scales(t->controls())));
+      worst.add(gradient_error([&](const Vector& x) { return t->advance(m, x, control).dot(w); }, state, d_state,
+                               scales(t->state())));
+      worst.add(gradient_error([&](const Vector& x) { return t->advance(m, state, x).dot(w); }, control, d_control,
+                               scales(t->controls())));
     }
   });
-  return {worst, ""};
+  return worst.outcome();
 }
 
 Outcome targets_pullback_is_exact(const Bench& bench) {
   const auto t = bench.make<Trajectory>();
   RandomStream random(12);
-  double worst = 0.0;
+  Worst worst;
   for_manipulations(*t, [&](const Manipulation& m) {
     for (int trial = 0; trial < 10; ++trial) {
       const Vector state = random_state(*t, m, random);
       Positions w(t->hands(), 3);
       for (Index i = 0; i < w.size(); ++i) w.data()[i] = random.normal();
       const auto value = [&](const Vector& x) { return t->targets(m, x).cwiseProduct(w).sum(); };
-      worst = std::max(worst, gradient_error(value, state, t->targets_pullback(m, state, w), scales(t->state())));
+      worst.add(gradient_error(value, state, t->targets_pullback(m, state, w), scales(t->state())));
     }
   });
-  return {worst, ""};
+  return worst.outcome();
 }
 
 Outcome path_is_continuous(const Bench& bench) {
   const auto t = bench.make<Trajectory>();
   RandomStream random(13);
-  double worst = 0.0;
+  Worst worst;
   for_manipulations(*t, [&](const Manipulation& m) {
     for (int trial = 0; trial < 6; ++trial) {
       Vector state = t->initial_state(m);
@@ -167,34 +168,30 @@ Outcome path_is_continuous(const Bench& bench) {
             trial == 0 ? Vector(t->default_controls(1).row(0).transpose()) : random_control(*t, random);
         const auto path = t->segment(m, state, control);
         for (const auto& g : path.targets) {
-          if (!g.allFinite()) {
-            worst = std::numeric_limits<double>::infinity();
-            return;
-          }
-          worst = std::max(worst, (g - before).rowwise().norm().maxCoeff());
+          worst.add((g - before).rowwise().norm());
           before = g;
         }
         state = path.end_state;
       }
     }
   });
-  return {worst, ""};
+  return worst.outcome();
 }
 
 Outcome never_below_contact_height(const Bench& bench) {
   const auto t = bench.make<Trajectory>();
   RandomStream random(14);
-  double worst = 0.0;
+  Worst worst;
   for_manipulations(*t, [&](const Manipulation& m) {
     for (int trial = 0; trial < 6; ++trial) {
       Vector state = t->initial_state(m);
       for (Index frame = 0; frame < kHorizon * kFramesPerSegment; ++frame) {
         state = t->advance(m, state, random_control(*t, random));
-        worst = std::max(worst, m.contact_height - t->targets(m, state).col(2).minCoeff());
+        worst.add(m.contact_height - t->targets(m, state).col(2).array());
       }
     }
   });
-  return {worst, ""};
+  return worst.outcome();
 }
 
 Outcome default_controls_release(const Bench& bench) {
@@ -202,7 +199,7 @@ Outcome default_controls_release(const Bench& bench) {
   double worst = 0.0;
   for_manipulations(*t, [&](const Manipulation& m) {
     Vector state = t->initial_state(m);
-    if (std::abs(t->progress(state)) > 1e-12) {
+    if (!(std::abs(t->progress(state)) <= 1e-12)) {
       worst = std::numeric_limits<double>::infinity();  // progress is 0 at the start
       return;
     }
@@ -228,7 +225,7 @@ Vector random_decision(const Trajectory& t, Index horizon, RandomStream& random)
 Outcome decode_encode_round_trip(const Bench& bench) {
   const auto t = bench.make<Trajectory>();
   RandomStream random(15);
-  double worst = 0.0;
+  Worst worst;
   for_manipulations(*t, [&](const Manipulation& m) {
     const Vector state = t->initial_state(m);
     for (Index horizon : {1, 4, 9}) {
@@ -236,16 +233,16 @@ Outcome decode_encode_round_trip(const Bench& bench) {
       require_shape("rows of decode()", controls.rows(), horizon);
       const Controls again = t->decode(t->encode(controls, state), horizon, state);
       const Vector scale = scales(t->controls());
-      worst = std::max(worst, ((again - controls).array().rowwise() / scale.transpose().array()).abs().maxCoeff());
+      worst.add(((again - controls).array().rowwise() / scale.transpose().array()).abs());
     }
   });
-  return {worst, ""};
+  return worst.outcome();
 }
 
 Outcome decode_pullback_is_exact(const Bench& bench) {
   const auto t = bench.make<Trajectory>();
   RandomStream random(16);
-  double worst = 0.0;
+  Worst worst;
   const Manipulation m = skew(*t, 1);
   const Vector state = t->initial_state(m);
   for (Index horizon : {1, 3}) {
@@ -254,10 +251,9 @@ Outcome decode_pullback_is_exact(const Bench& bench) {
     for (Index i = 0; i < w.size(); ++i) w.data()[i] = random.normal();
     w.array().rowwise() /= scales(t->controls()).transpose().array();
     const auto value = [&](const Vector& at) { return t->decode(at, horizon, state).cwiseProduct(w).sum(); };
-    worst =
-        std::max(worst, gradient_error(value, x, t->decode_pullback(x, horizon, state, w), t->decision_scale(horizon)));
+    worst.add(gradient_error(value, x, t->decode_pullback(x, horizon, state, w), t->decision_scale(horizon)));
   }
-  return {worst, ""};
+  return worst.outcome();
 }
 
 Outcome decision_box_is_sound(const Bench& bench) {
@@ -279,13 +275,16 @@ Outcome decision_box_is_sound(const Bench& bench) {
       wrong.miss("a box that is not finite" + at);
     if (!scale.allFinite() || (scale.array() <= 0.0).any()) wrong.miss("a scale that is not > 0" + at);
     const Vector start = t->encode(t->default_controls(horizon), state);
-    if (((box.lower - start).array() > 1e-9 * scale.array()).any() ||
-        ((start - box.upper).array() > 1e-9 * scale.array()).any())
+    require_shape("size of encode()", start.size(), size);
+    if (!((box.lower - start).array() <= 1e-9 * scale.array()).all() ||
+        !((start - box.upper).array() <= 1e-9 * scale.array()).all())
       wrong.miss("a box without the default trajectory" + at);
     const Controls c = t->decode(random_decision(*t, horizon, random), horizon, state);
+    require_shape("columns of decode()", c.cols(), static_cast<Index>(variables.size()));
     for (Index i = 0; i < c.cols(); ++i) {
       const auto& v = variables[static_cast<std::size_t>(i)];
-      if (c.col(i).minCoeff() < v.lower - 1e-9 * v.scale || c.col(i).maxCoeff() > v.upper + 1e-9 * v.scale)
+      if (!(c.col(i).array() >= v.lower - 1e-9 * v.scale).all() ||
+          !(c.col(i).array() <= v.upper + 1e-9 * v.scale).all())
         wrong.miss("a point of the box that decodes to " + v.name + " out of its bounds" + at);
     }
   }

@@ -14,7 +14,7 @@ SweepOutcome run_session_cell(const ConfigNode& config, Host& host) {
   SessionParams params;
   read_params(config, params);
   const double cpu_before = thread_cpu_seconds();
-  const SessionResult result = run_session(params, config, host);
+  const SessionResult result = run_configured_session(params, config, host);
   // With one thread everything but the solvers' own arithmetic runs here, so that others on the machine do not count.
   const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
   SweepOutcome outcome = session_outcome(result);
@@ -55,7 +55,7 @@ SweepOutcome session_outcome(const SessionResult& result) {
   SweepOutcome outcome;
   std::uint64_t hash = fnv1a(result.goal.data(), sizeof(double) * static_cast<std::size_t>(result.goal.size()));
   hash = fnv1a(result.start.data(), sizeof(double) * static_cast<std::size_t>(result.start.size()), hash);
-  hash = fnv1a(result.true_material.data(), sizeof(double) * 4, hash);
+  if (result.true_material) hash = fnv1a(result.true_material->data(), sizeof(double) * 4, hash);
   outcome.paired_by = hex_digits(hash);
   double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, refinement_seconds = 0;
   for (const auto& round : result.rounds) {

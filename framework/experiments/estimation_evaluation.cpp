@@ -8,7 +8,7 @@
 #include "experiments/json_numbers.hpp"
 #include "experiments/statistics.hpp"
 #include "report/cases_file.hpp"
-#include "session/estimator.hpp"
+#include "session/replay.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"

@@ -102,7 +102,7 @@ SweepRunner planning_runner(const EvaluationCases& cases, const fs::path& folder
     }
     SessionParams params;
     read_params(config, params);
-    const SessionResult result = run_session(params, config, host);
+    const SessionResult result = run_configured_session(params, config, host);
     fs::create_directories(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, width_level(params.drawn_width)));
     file.write("/goal", result.goal);

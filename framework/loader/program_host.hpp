@@ -5,7 +5,6 @@
 #include <memory>
 #include <string>
 
-#include "loader/program_host.hpp"
 #include "loader/registry.hpp"
 #include "weft/host.hpp"
 

@@ -170,7 +170,7 @@ std::string session_page(const std::string& page_template, const SessionRecord& 
   data["frame_seconds"] = kFrameSeconds;
   data["released"] = session.released();
   data["release_frame"] = session.segment_frame(session.segments());
-  data["true_material"] = list(session.true_material);
+  if (session.true_material) data["true_material"] = list(*session.true_material);
   data["start_error_mm"] = mean_distance_mm(session.start, session.goal);
   data["frames"] = page.shapes(session.frames);
   data["goal"] = page.shapes({session.goal});

@@ -314,9 +314,8 @@ class EstimationObjective final : public Objective {
       if (has_start_height_) result.jacobians[at](2 * seen, kThickness) = start_slope(x(kThickness, i));
     }
     if (!with_jacobians) return;
-    const auto derivatives =
-        directional_derivatives(predictor_, prediction, cases, directions, *task_.trajectory, Moments::mean_and_sigma,
-                                {.step = params_.difference_step}, &evaluations_);
+    const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, Moments::mean_and_sigma,
+                                 {.step = params_.difference_step}, &evaluations_);
     for (Index i = 0; i < n; ++i) {
       const auto at = static_cast<std::size_t>(i);
       if (!std::isfinite(result.costs(i))) continue;
@@ -384,7 +383,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   const double noise = first ? params_.noise : params_.later_noise;
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {
-    RandomStream random = RandomStream(request.seed, 0x657374696dull, static_cast<std::uint64_t>(request.round))
+    RandomStream random = RandomStream(request.seed, stream_key("estim"), static_cast<std::uint64_t>(request.round))
                               .child(static_cast<std::uint64_t>(i));
     for (Index k = 0; k < starts.rows(); ++k) {
       const bool anywhere = params_.method != "plain" && i % 4 == 3 && k < 4;
@@ -394,7 +393,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   }
   OptimiserOptions options;
   options.max_iterations = first ? params_.iterations : params_.later_iterations;
-  options.seed = RandomStream(request.seed, 0x6573746f7074ull, static_cast<std::uint64_t>(request.round)).bits64();
+  options.seed = RandomStream(request.seed, stream_key("estopt"), static_cast<std::uint64_t>(request.round)).bits64();
   const auto observer = [&](Index iteration, const Vector&) {
     estimate.iterations = iteration;
     return !host_.cancelled();
@@ -411,6 +410,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   }
   if (!std::isfinite(estimate.loss))
     throw Error("estimation: no instance reached a finite loss: " + results.front().message);
+  estimate.ended = search_end(results, estimate.instance);
   const Vector& best = results[static_cast<std::size_t>(estimate.instance)].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});
   objective.rate(prediction->shapes().front(), estimate);

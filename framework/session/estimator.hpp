@@ -7,6 +7,7 @@
 
 #include "session/material_posterior.hpp"
 #include "session/observation.hpp"
+#include "session/search_end.hpp"
 #include "weft/host.hpp"
 #include "weft/optimiser.hpp"
 #include "weft/params.hpp"
@@ -82,6 +83,7 @@ struct Estimate {
   double misfit = 0.0;  ///< mean over coordinates of ((x - mu) / sigma)^2 at the winner; 1 where sigma is right
   Index instance = 0;
   std::vector<double> losses;  ///< [instances], residual
+  SearchEnd ended;             ///< why the optimiser stopped
   Index iterations = 0;
   Index evaluations = 0;  ///< points predicted, over all instances
   double seconds = 0.0;

@@ -33,10 +33,11 @@ void check(const std::vector<PredictionCase>& cases, const std::vector<std::vect
 
 }  // namespace
 
-std::vector<std::vector<std::vector<ShapeCotangent>>> directional_derivatives(
-    const Predictor& predictor, const Prediction& prediction, const std::vector<PredictionCase>& cases,
-    const std::vector<std::vector<CaseDirection>>& directions, const Trajectory& trajectory, Moments moments,
-    const JvpOptions& options, Index* predicted) {
+std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predictor, const Prediction& prediction,
+                                                          const std::vector<PredictionCase>& cases,
+                                                          const std::vector<std::vector<CaseDirection>>& directions,
+                                                          const Trajectory& trajectory, Moments moments,
+                                                          const JvpOptions& options, Index* predicted) {
   check(cases, directions);
   if (predictor.capabilities().jvp) return prediction.jvp(directions);
 

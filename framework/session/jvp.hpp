@@ -24,9 +24,10 @@ struct JvpOptions {
 /// @param trajectory gives the controls' scales.
 /// @param predicted if not null: the number of cases predicted here is added to it.
 /// @return [cases][directions of that case][case.segments]; of a case without result: no rows.
-std::vector<std::vector<std::vector<ShapeCotangent>>> directional_derivatives(
-    const Predictor& predictor, const Prediction& prediction, const std::vector<PredictionCase>& cases,
-    const std::vector<std::vector<CaseDirection>>& directions, const Trajectory& trajectory, Moments moments,
-    const JvpOptions& options = {}, Index* predicted = nullptr);
+std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predictor, const Prediction& prediction,
+                                                          const std::vector<PredictionCase>& cases,
+                                                          const std::vector<std::vector<CaseDirection>>& directions,
+                                                          const Trajectory& trajectory, Moments moments,
+                                                          const JvpOptions& options = {}, Index* predicted = nullptr);
 
 }  // namespace weft

@@ -60,7 +60,7 @@ MaterialKnowledge interval_of(const MaterialPosterior& posterior, int sweeps) {
   for (Index p = 0; p < 4; ++p) sd(p) = 1.0 / std::sqrt(std::max(precision(p, p), kLeastPrecision));
   std::array<std::vector<double>, 4> samples;
   for (auto& list : samples) list.reserve(static_cast<std::size_t>(sweeps));
-  RandomStream random(0x706f7374ull);
+  RandomStream random(stream_key("post"));
   PropertyVector q = posterior.mode;
   for (int sweep = -kBurnIn; sweep < sweeps; ++sweep) {
     for (Index p = 0; p < 4; ++p) {

@@ -28,28 +28,11 @@ Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
   return gradient;
 }
 
-/// dL/d controls from dL/d state after every segment [k, S]: the chain of advance_pullback backwards through all
-/// frames.
-Controls states_pullback(const Task& task, const Vector& start, const Controls& controls, const Controls& d_states) {
-  const auto& trajectory = *task.trajectory;
+/// dL/d controls from dL/d state after every segment [k, S].
+Controls states_pullback(const Task& task, ConstVec start, const Controls& controls, const Controls& d_states) {
   Controls gradient = Controls::Zero(controls.rows(), controls.cols());
-  std::vector<Vector> states{start};
-  for (Index j = 0; j < controls.rows(); ++j) {
-    for (Index frame = 0; frame < kFramesPerSegment; ++frame) {
-      states.push_back(trajectory.advance(task.manipulation, states.back(), controls.row(j).transpose()));
-    }
-  }
-  Vector carried = Vector::Zero(start.size());
-  Vector d_state, d_control;
-  for (Index j = controls.rows() - 1; j >= 0; --j) {
-    carried += d_states.row(j).transpose();
-    for (Index frame = kFramesPerSegment - 1; frame >= 0; --frame) {
-      const auto& before = states[static_cast<std::size_t>(j * kFramesPerSegment + frame)];
-      trajectory.advance_pullback(task.manipulation, before, controls.row(j).transpose(), carried, d_state, d_control);
-      gradient.row(j) += d_control.transpose();
-      carried = d_state;
-    }
-  }
+  const auto add = [&](Index j, Vector& d_state) { d_state += d_states.row(j).transpose(); };
+  task.trajectory->pullback_states(task.manipulation, start, controls, add, gradient);
   return gradient;
 }
 
@@ -222,8 +205,8 @@ class PlanningObjective final : public Objective {
       }
     }
     if (!with_jacobians) return;
-    const auto derivatives = directional_derivatives(predictor_, prediction, cases, directions, *task_.trajectory,
-                                                     moments_, {.step = params_.difference_step}, &evaluations_);
+    const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, moments_,
+                                 {.step = params_.difference_step}, &evaluations_);
     for (std::size_t i = 0; i < variables.size(); ++i) {
       for (std::size_t k = 0; k < variables[i].size(); ++k) {
         const auto& change = derivatives[i][k].front();
@@ -387,7 +370,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   const double noise = first ? params_.noise : params_.replan_noise;
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {
-    RandomStream random = RandomStream(request.seed, 0x706c616eull, static_cast<std::uint64_t>(request.round))
+    RandomStream random = RandomStream(request.seed, stream_key("plan"), static_cast<std::uint64_t>(request.round))
                               .child(static_cast<std::uint64_t>(i));
     for (Index k = 0; k < starts.rows(); ++k)
       starts(k, i) = centre(k) + (i == 0 ? 0.0 : noise * scale(k) * random.normal());
@@ -397,7 +380,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   PlanningObjective objective(task_, *predictor_, params_, weights_, request, plan.horizon);
   OptimiserOptions options;
   options.max_iterations = first ? params_.iterations : params_.replan_iterations;
-  options.seed = RandomStream(request.seed, 0x6f707469ull, static_cast<std::uint64_t>(request.round)).bits64();
+  options.seed = RandomStream(request.seed, stream_key("opti"), static_cast<std::uint64_t>(request.round)).bits64();
   const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
   if (params_.max_evaluations > 0) options.max_evaluations = params_.max_evaluations;
   const Index replayed =
@@ -421,6 +404,8 @@ Plan Planner::plan(const PlanRequest& request) const {
     }
   }
   if (!std::isfinite(plan.loss)) throw Error("planning: no instance reached a finite loss: " + results.front().message);
+
+  plan.ended = search_end(results, plan.instance);
 
   // The winner, truncated after its release segment, with the whole predicted sequence.
   PredictionCase winner = objective.make_case(results[static_cast<std::size_t>(plan.instance)].x);

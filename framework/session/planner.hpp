@@ -3,6 +3,7 @@
 #include <string>
 #include <vector>
 
+#include "session/search_end.hpp"
 #include "weft/host.hpp"
 #include "weft/optimiser.hpp"
 #include "weft/params.hpp"
@@ -82,6 +83,7 @@ struct Plan {
   std::vector<double> losses;               ///< [instances], residual
   std::vector<std::vector<double>> curves;  ///< [iterations] of [instances]: best loss so far
   std::vector<ShapeDistribution> shapes;    ///< [u]: the winner's prediction after every segment
+  SearchEnd ended;                          ///< why the optimiser stopped
   Index iterations = 0;
   Index evaluations = 0;  ///< points predicted, over all instances, with those of finite differences
   double seconds = 0.0;

@@ -1,7 +1,10 @@
 #include "session/session_file.hpp"
 
 #include <cmath>
+#include <nlohmann/json.hpp>
 
+#include "session/search_end.hpp"
+#include "session/session.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {
@@ -85,7 +88,155 @@ RoundRecord read_round(const Reader& in, const std::string& group, Index vertice
   return round;
 }
 
+/// Names and units of what the controls and the state are made of.
+std::string trajectory_json(const Trajectory& trajectory) {
+  const auto list = [](const std::vector<Variable>& variables) {
+    auto items = nlohmann::ordered_json::array();
+    for (const auto& variable : variables) items.push_back({{"name", variable.name}, {"unit", variable.unit}});
+    return items;
+  };
+  return nlohmann::ordered_json{{"controls", list(trajectory.controls())}, {"state", list(trajectory.state())}}.dump();
+}
+
+void write_round(Hdf5File& file, const std::string& group, const SessionRound& round, const Task& task) {
+  file.write(group + "/controls", round.plan.controls);
+  file.write(group + "/state", round.state);
+  file.write(group + "/observed", round.observed);
+  const Vector centre = round.knowledge.centre, width = round.knowledge.width;
+  file.write(group + "/knowledge_centre", centre);
+  file.write(group + "/knowledge_width", width);
+  const Vector losses =
+      Eigen::Map<const Vector>(round.plan.losses.data(), static_cast<Index>(round.plan.losses.size()));
+  file.write(group + "/losses", losses);
+  if (!round.plan.curves.empty()) {
+    Controls curves(static_cast<Index>(round.plan.curves.size()), losses.size());
+    for (Index r = 0; r < curves.rows(); ++r) {
+      const auto& row = round.plan.curves[static_cast<std::size_t>(r)];
+      for (Index c = 0; c < curves.cols(); ++c) curves(r, c) = row[static_cast<std::size_t>(c)];
+    }
+    file.write(group + "/loss_curves", curves);
+  }
+  // Single precision: a prediction is good to a fraction of a millimetre at best.
+  std::vector<float> mean, sigma;
+  for (const auto& shape : round.plan.shapes) {
+    const auto m = to_frame(shape.mean), s = to_frame(shape.sigma);
+    mean.insert(mean.end(), m.begin(), m.end());
+    sigma.insert(sigma.end(), s.begin(), s.end());
+  }
+  // Where the plan would take the hands: what a page needs to draw it without the trajectory plugin.
+  std::vector<float> targets;
+  Vector state = round.state;
+  for (Index j = 0; j < round.plan.controls.rows(); ++j) {
+    const SegmentPath segment =
+        task.trajectory->segment(task.manipulation, state, round.plan.controls.row(j).transpose());
+    for (const auto& points : segment.targets) {
+      const auto p = to_frame(points);
+      targets.insert(targets.end(), p.begin(), p.end());
+    }
+    state = segment.end_state;
+  }
+  file.write(
+      group + "/planned_targets",
+      {round.plan.controls.rows() * kFramesPerSegment, static_cast<Index>(task.manipulation.grasp_vertices.size()), 3},
+      targets.data());
+  const std::vector<Index> shape = {static_cast<Index>(round.plan.shapes.size()), task.garment->vertex_count(), 3};
+  file.write(group + "/predicted_mean", shape, mean.data());
+  file.write(group + "/predicted_sigma", shape, sigma.data());
+}
+
 }  // namespace
+
+std::string session_summary_json(const SessionResult& result) {
+  using nlohmann::ordered_json;
+  const auto list = [](const auto& v) { return std::vector<double>(v.data(), v.data() + v.size()); };
+  ordered_json summary;
+  summary["error_mm"] = result.error_mm;
+  summary["default_error_mm"] = result.default_error_mm;
+  summary["segments"] = result.rounds.size();
+  summary["released"] = result.released;
+  summary["settled"] = result.settle.settled;
+  summary["settle_frames"] = result.settle.frames;
+  auto plan_seconds = ordered_json::array();
+  auto iterations = ordered_json::array();
+  auto plan_ended = ordered_json::array();
+  auto predicted = ordered_json::array();
+  auto knowledge = ordered_json::array();
+  for (const auto& round : result.rounds) {
+    plan_seconds.push_back(round.plan.seconds);
+    iterations.push_back(round.plan.iterations);
+    plan_ended.push_back(to_json(round.plan.ended));
+    predicted.push_back(round.plan.predicted_error_mm);
+    knowledge.push_back({{"centre", list(round.knowledge.centre)}, {"width", list(round.knowledge.width)}});
+  }
+  summary["plan_seconds"] = plan_seconds;
+  summary["plan_iterations"] = iterations;
+  summary["plan_ended"] = plan_ended;
+  summary["predicted_error_mm"] = predicted;
+  auto estimate_seconds = ordered_json::array();
+  auto estimate_ended = ordered_json::array();
+  for (const auto& estimate : result.estimates) {
+    estimate_seconds.push_back(estimate.seconds);
+    estimate_ended.push_back(to_json(estimate.ended));
+  }
+  summary["estimate_seconds"] = estimate_seconds;
+  summary["estimate_ended"] = estimate_ended;
+  double refinement_seconds = 0.0;
+  for (const auto& round : result.rounds) refinement_seconds += round.refinement_seconds;
+  if (refinement_seconds > 0.0) summary["refinement_seconds"] = refinement_seconds;
+  summary["simulate_seconds"] = result.simulate_seconds;
+  summary["max_grasp_strain"] = result.max_grasp_strain ? ordered_json(*result.max_grasp_strain) : ordered_json();
+  summary["knowledge"] = knowledge;
+  if (!result.estimates.empty()) {
+    const auto& last = result.estimates.back().knowledge;
+    summary["final_knowledge"] = {{"centre", list(last.centre)}, {"width", list(last.width)}};
+  }
+  summary["true_material"] = result.true_material ? ordered_json(list(*result.true_material)) : ordered_json();
+  summary["shapes"] = result.shapes_are_true ? "true" : "observed";
+  summary["warnings"] = result.warnings;
+  return summary.dump(2) + "\n";
+}
+
+void write_session(const std::filesystem::path& path, const SessionResult& result, const Task& task,
+                   const ConfigNode& resolved, const std::string& provenance) {
+  auto file = Hdf5File::create(path);
+  file.write("/schema", std::string("weft session 1"));
+  file.write("/config", resolved.to_yaml());
+  file.write("/provenance", provenance);
+  file.write("/summary", session_summary_json(result));
+  const auto& garment = *task.garment;
+  file.write("/garment/name", garment.name);
+  file.write("/garment/hash", std::to_string(garment.hash));
+  file.write("/garment/rest", garment.rest);
+  const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = garment.faces.cast<std::int64_t>();
+  file.write("/garment/faces", faces);
+  const std::vector<std::int64_t> held(task.manipulation.grasp_vertices.begin(),
+                                       task.manipulation.grasp_vertices.end());
+  file.write("/garment/grasp_vertices", {static_cast<Index>(held.size())}, held.data());
+  file.write("/start", result.start);
+  file.write("/goal", result.goal);
+  file.write("/default_shape", result.default_shape);
+  file.write("/final_shape", result.final_shape);
+  if (result.goal_controls.rows() > 0) file.write("/goal_controls", result.goal_controls);
+  if (result.true_material) file.write("/true_material", Vector(*result.true_material));
+  if (!result.estimates.empty()) {
+    Controls centre(static_cast<Index>(result.estimates.size()), 4), width = centre;
+    for (Index j = 0; j < centre.rows(); ++j) {
+      centre.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.centre.transpose();
+      width.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.width.transpose();
+    }
+    file.write("/estimates/centre", centre);
+    file.write("/estimates/width", width);
+  }
+  file.write("/trajectory", trajectory_json(*task.trajectory));
+  std::vector<float> frames;
+  for (const auto& frame : result.frames) frames.insert(frames.end(), frame.begin(), frame.end());
+  file.write("/frames", {static_cast<Index>(result.frames.size()), garment.vertex_count(), 3}, frames.data());
+  for (std::size_t i = 0; i < result.rounds.size(); ++i) {
+    const std::string group = "/rounds/" + std::string(i < 10 ? "00" : i < 100 ? "0" : "") + std::to_string(i);
+    write_round(file, group, result.rounds[i], task);
+  }
+  file.commit();
+}
 
 SessionRecord read_session(const std::filesystem::path& path) {
   const Reader in(path);
@@ -117,7 +268,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   record.goal = in.positions("/goal", vertices);
   record.default_shape = in.positions("/default_shape", vertices);
   record.final_shape = in.positions("/final_shape", vertices);
-  record.true_material = in.vector("/true_material", 4);
+  if (in.has("/true_material")) record.true_material = in.vector("/true_material", 4);
   record.frames = in.shapes("/frames", vertices);
   if (record.frames.empty()) in.fail("/frames", "holds no frame");
   if (in.has("/rounds")) {

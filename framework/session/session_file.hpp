@@ -1,5 +1,6 @@
 #pragma once
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -8,6 +9,10 @@
 #include "weft/types.hpp"
 
 namespace weft {
+
+class ConfigNode;
+struct SessionResult;
+struct Task;
 
 /// One round of a recorded session.
 struct RoundRecord {
@@ -31,7 +36,7 @@ struct SessionRecord {
   RestPositions rest;
   std::vector<Index> grasp_vertices;
   Positions start, goal, default_shape, final_shape;  ///< [V, 3] m
-  MaterialProperties true_material = MaterialProperties::Zero();
+  std::optional<MaterialProperties> true_material;    ///< nullopt: nobody knows it
   std::vector<Positions> frames;  ///< [12 segments + 1 + settle_frames()]: start, segments, release and settling
   std::vector<RoundRecord> rounds;
   std::vector<MaterialKnowledge> estimates;  ///< [segments] after each of them; empty when nothing was estimated
@@ -50,5 +55,11 @@ struct SessionRecord {
 
 /// @throws ConfigError naming what is missing, damaged or of the wrong shape.
 SessionRecord read_session(const std::filesystem::path& file);
+
+/// summary.json: the keys of docs/file-formats.md.
+std::string session_summary_json(const SessionResult& result);
+/// session.h5. @param resolved the resolved config; @param provenance version, commit, plugins.
+void write_session(const std::filesystem::path& file, const SessionResult& result, const Task& task,
+                   const ConfigNode& resolved, const std::string& provenance);
 
 }  // namespace weft

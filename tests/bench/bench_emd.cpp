@@ -51,8 +51,11 @@ struct Bench {
     params.untrained = true;
     return params;
   }
-  void predict_and_pull() const {
-    const auto prediction = predictor.predict(cases, {.moments = Moments::mean, .gradients = true});
+  void predict_and_pull(bool all_gradients = false) const {
+    const auto prediction = predictor.predict(cases, {.moments = Moments::mean,
+                                                      .gradients = true,
+                                                      .state_gradients = all_gradients,
+                                                      .shape_gradients = all_gradients});
     benchmark::DoNotOptimize(prediction->pullback(cotangents));
   }
   Task task;
@@ -90,6 +93,13 @@ BENCHMARK(cost)
     ->ArgsProduct({{16}, {5, 10, 40}, {0}})
     ->ArgsProduct({{16}, {25}, {40000, 20000, 10000, 5000}})
     ->Unit(benchmark::kMillisecond);
+
+/// Planning's gradient on one thread. Argument: 1: with state and shape gradients, which planning does not ask for.
+void unasked_gradients(benchmark::State& state) {
+  Bench bench(1, 16, 25, false);
+  for (auto _ : state) bench.predict_and_pull(state.range(0) != 0);
+}
+BENCHMARK(unasked_gradients)->Arg(0)->Arg(1)->Unit(benchmark::kMillisecond);
 
 void predict_only(benchmark::State& state) {
   Bench bench(static_cast<int>(state.range(0)), state.range(1), state.range(2), false);

@@ -48,6 +48,28 @@ TEST_P(Kind, EveryLawHasAMutantThatFailsIt) {
   }
 }
 
+TEST_F(Conformance, ATrajectoryThatReturnsNaNFailsItsLaw) {
+  const std::pair<const char*, const char*> cases[] = {{"nan_advance", "advance_pullback_is_exact"},
+                                                       {"nan_d_state", "advance_pullback_is_exact"},
+                                                       {"nan_d_control", "advance_pullback_is_exact"},
+                                                       {"nan_targets", "starts_at_the_grasp_points"},
+                                                       {"nan_targets", "path_is_continuous"},
+                                                       {"nan_targets", "never_below_contact_height"},
+                                                       {"nan_targets", "targets_pullback_is_exact"},
+                                                       {"nan_targets_pullback", "targets_pullback_is_exact"},
+                                                       {"nan_progress", "default_controls_release"},
+                                                       {"nan_decode", "decode_encode_round_trip"},
+                                                       {"nan_decode", "decision_box_is_sound"},
+                                                       {"nan_decode", "decode_pullback_is_exact"},
+                                                       {"nan_encode", "decode_encode_round_trip"},
+                                                       {"nan_encode", "decision_box_is_sound"},
+                                                       {"nan_decode_pullback", "decode_pullback_is_exact"}};
+  for (const auto& [mutation, law] : cases) {
+    const auto r = check("trajectory", std::string("mutation: ") + mutation, {}, {law});
+    EXPECT_FALSE(r.at(0).passed) << mutation << ", " << law << ": measured " << r.at(0).measured;
+  }
+}
+
 TEST_P(Kind, LawsAreNamedAndExplained) {
   std::vector<std::string> names;
   for (const auto& law : list_laws(GetParam())) {
@@ -92,6 +114,43 @@ TEST_F(Conformance, WhatIsNotDeclaredMustBeRefused) {
   EXPECT_TRUE(broken("predictor", "pullback_of_state"));
   EXPECT_TRUE(broken("predictor", "pullback_of_shape"));
   EXPECT_TRUE(broken("predictor", "jvp_matches"));
+}
+
+/// Results of wrong sizes and NaNs: laws fail, none of them crashes.
+TEST_F(Conformance, PredictorsThatReturnTooLittleFail) {
+  const std::pair<std::string, std::string> mutants[] = {
+      {"null_prediction", "shapes_are_those_asked_for"},
+      {"one_result", "shapes_are_those_asked_for"},
+      {"missing_shapes", "shapes_are_those_asked_for"},
+      {"a_vertex_short", "shapes_are_those_asked_for"},
+      {"nan_mean", "numbers_are_sound"},
+      {"nan_mean_of_means", "numbers_are_sound"},
+      {"nan_sigma", "numbers_are_sound"},
+      {"gradient_of_one_case", "pullback_of_controls"},
+      {"no_d_controls", "pullback_of_controls"},
+      {"one_d_control", "pullback_of_controls"},
+      {"nan_d_controls", "pullback_of_controls"},
+      {"nan_d_controls_of_means", "zero_cotangents_may_be_empty"},
+      {"nan_d_centre", "pullback_of_centre"},
+      {"nan_d_width", "pullback_of_width"},
+      {"short_d_state", "pullback_of_state"},
+      {"nan_d_state", "pullback_of_state"},
+      {"short_d_shape", "pullback_of_shape"},
+      {"nan_d_shape", "pullback_of_shape"},
+      {"state_nobody_asked_for", "pullback_is_for_those_who_asked"},
+      {"shape_nobody_asked_for", "pullback_is_for_those_who_asked"},
+      {"jvp_of_one_case", "jvp_matches"},
+      {"jvp_of_one_direction", "jvp_matches"},
+      {"jvp_without_shapes", "jvp_matches"},
+      {"short_jvp", "jvp_matches"},
+      {"nan_jvp", "jvp_matches"},
+  };
+  for (const auto& [mutation, law] : mutants) {
+    for (const auto& r : check("predictor", "mutation: " + mutation)) {
+      if (r.law != law) continue;
+      EXPECT_FALSE(r.passed) << mutation << ": " << law << " measured " << r.measured;
+    }
+  }
 }
 
 TEST_F(Conformance, UndeclaredAbilitiesAreSaidToBe) {

@@ -1,5 +1,6 @@
 cmake_minimum_required(VERSION 3.25)
-# Run with -P. BUILD: weft's build tree; PLUGINS: the out-of-tree project; WORK: scratch folder, emptied first.
+# Run with -P. BUILD: weft's build tree; PLUGINS: the out-of-tree project in weft's sources; WORK: scratch folder, emptied
+# first.
 function(run)
   list(JOIN ARGN " " line)
   message(STATUS "${line}")
@@ -11,7 +12,7 @@ function(run)
 endfunction()
 
 # The environment of somebody who only has the installed tree.
-foreach(variable WEFT_PLUGIN_PATH LD_LIBRARY_PATH CMAKE_PREFIX_PATH DESTDIR)
+foreach(variable WEFT_PLUGIN_PATH LD_LIBRARY_PATH CMAKE_PREFIX_PATH CMAKE_BUILD_TYPE DESTDIR)
   unset(ENV{${variable}})
 endforeach()
 file(REMOVE_RECURSE ${WORK})
@@ -25,8 +26,43 @@ if(output MATCHES "refused" OR NOT output MATCHES "trajectory +arc .*${WORK}/pre
   message(FATAL_ERROR "the moved tree does not load its own plugins:\n${output}")
 endif()
 
-run(${CMAKE_COMMAND} -S ${PLUGINS} -B ${WORK}/build -G ${GENERATOR} -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_COMPILER=${CXX}
+# An installed plugin finds libweft.so of its own tree by its RUNPATH, without the program's help.
+function(expect_own_library plugin)
+  file(GET_RUNTIME_DEPENDENCIES MODULES ${plugin} RESOLVED_DEPENDENCIES_VAR found UNRESOLVED_DEPENDENCIES_VAR missing
+       PRE_EXCLUDE_REGEXES "^lib(stdc|gcc|c\\.|m\\.)|^ld-" POST_EXCLUDE_REGEXES "^/(usr/)?lib")
+  if(NOT found MATCHES "${WORK}/prefix/lib[^;]*/libweft\\.so" OR missing)
+    message(FATAL_ERROR "${plugin} does not find libweft.so of its own tree, but '${found}'; missing: '${missing}'")
+  endif()
+endfunction()
+file(GLOB_RECURSE arc ${WORK}/prefix/lib*/*weft_trajectory_arc.so)
+expect_own_library(${arc})
+
+# The installed documents; the rest of this test builds the installed examples.
+set(documents ${WORK}/prefix/share/doc/weft)
+foreach(file README.md MIGRATION.md docs/write-a-plugin.md docs/images/fold.png plugins/trajectory/arc/README.md)
+  if(NOT EXISTS ${documents}/${file})
+    message(FATAL_ERROR "${file} is not installed in ${documents}")
+  endif()
+endforeach()
+file(GLOB sources RELATIVE ${PLUGINS} ${PLUGINS}/*)
+foreach(file ${sources})
+  run(${CMAKE_COMMAND} -E compare_files ${PLUGINS}/${file} ${documents}/examples/${file})
+endforeach()
+set(PLUGINS ${documents}/examples)
+
+# As the documents write it: nobody says a build type.
+set(configure ${CMAKE_COMMAND} -S ${PLUGINS} -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${CXX} -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
     -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DCMAKE_CXX_FLAGS=${FLAGS} -DCMAKE_PREFIX_PATH=${WORK}/prefix)
+run(${configure} -B ${WORK}/build)
+file(READ ${WORK}/build/compile_commands.json commands)
+if(NOT output MATCHES "no CMAKE_BUILD_TYPE was given, so it is Release" OR NOT commands MATCHES " -O3 ")
+  message(FATAL_ERROR "plugins are not optimised by default:\n${output}\n${commands}")
+endif()
+run(${configure} -B ${WORK}/debug -DCMAKE_BUILD_TYPE=Debug)
+file(READ ${WORK}/debug/compile_commands.json commands)
+if(NOT commands MATCHES " -g " OR commands MATCHES " -O3 ")
+  message(FATAL_ERROR "a build type that was given is not kept:\n${commands}")
+endif()
 file(STRINGS ${WORK}/build/CMakeCache.txt found REGEX "^weft_DIR:")
 if(NOT found MATCHES "=${WORK}/prefix/")
   message(FATAL_ERROR "find_package(weft) found another one: ${found}")
@@ -56,6 +92,16 @@ if(NOT error LESS default_error)
   message(FATAL_ERROR "the session ends ${error} mm off the goal, the default control ${default_error} mm")
 endif()
 
+# momentum needs gradients, which follow has not: a plan with the simulator as predictor.
+run(${weft} plan ${PLUGINS}/fold.yaml --set ${garment} --set predictor=rollout --set optimiser=momentum
+    --set planning.instances=1 --set planning.iterations=3 --out ${WORK}/plan)
+message(STATUS "${output}")
+file(READ ${WORK}/plan/plan.json plan)
+string(JSON error GET "${plan}" predicted_error_mm)
+if(NOT error LESS default_error)
+  message(FATAL_ERROR "the plan is predicted to end ${error} mm off the goal, the default control ${default_error} mm")
+endif()
+
 # And installed beside weft's own, without the variable.
 unset(ENV{WEFT_PLUGIN_PATH})
 run(${CMAKE_COMMAND} --install ${WORK}/build --prefix ${WORK}/prefix)
@@ -64,4 +110,7 @@ foreach(name trajectory/min_jerk optimiser/momentum predictor/follow simulator/m
   if(NOT output MATCHES "${WORK}/prefix/")
     message(FATAL_ERROR "${name} was found elsewhere:\n${output}")
   endif()
+  string(REPLACE "/" "_" library ${name})
+  file(GLOB_RECURSE installed ${WORK}/prefix/lib*/*weft_${library}.so)
+  expect_own_library(${installed})
 endforeach()

@@ -30,8 +30,6 @@ TEST_P(CeresMethod, DeclaresWhatItAsksFor) {
   const auto c = bench.optimiser("{plugin: ceres, params: {" + params() + "}}")->capabilities();
   EXPECT_EQ(c.needs_gradients, !least_squares());
   EXPECT_EQ(c.needs_residuals, least_squares());
-  EXPECT_TRUE(c.honours_bounds);
-  EXPECT_FALSE(c.stochastic);
 }
 
 TEST_P(CeresMethod, SolvesABowlInsideTheBox) {

@@ -4,6 +4,7 @@
 #include "experiments/physics/suite.hpp"
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
+#include "meshes/intersections.hpp"
 #include "simulation/scene.hpp"
 #include "simulation/task_config.hpp"
 

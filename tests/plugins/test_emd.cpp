@@ -310,10 +310,10 @@ TEST(EmdNetwork, AgreesWithAutogradForEverySwitch) {
     EXPECT_LT(difference(d_shape, job.d_shape), 5e-5);
     EXPECT_LT(difference(d_change, job.d_change), 5e-5);
 
-    // The tangent map is the transpose: <d, J t> = <J^T d, t>.
+    // The jvp is the transpose: <d, J t> = <J^T d, t>.
     std::vector<float> t_inputs, t_mean(mean.size()), t_sigma(mean.size());
     fill(t_inputs, block.total() * model.dimensions.inputs(), 1.0);
-    network.tangent(block, tape, {0, 1, 2, 3}, t_inputs.data(), t_mean.data(), t_sigma.data());
+    network.jvp(block, tape, {0, 1, 2, 3}, t_inputs.data(), t_mean.data(), t_sigma.data());
     double left = 0.0, right = 0.0, size = 0.0;
     for (std::size_t k = 0; k < mean.size(); ++k) {
       left += static_cast<double>(d_mean[k]) * static_cast<double>(t_mean[k]) +
@@ -338,13 +338,14 @@ TEST(EmdPredictor, ACaseIsTheSameWhateverElseIsInTheBatch) {
   predictor.bind(task);
   alone.bind(task);
   const auto cases = some_cases(task, 43, 1);
-  const auto batch = predictor.predict(cases, {.gradients = true});
+  const PredictionRequest request{.gradients = true, .state_gradients = true, .shape_gradients = true};
+  const auto batch = predictor.predict(cases, request);
   std::vector<std::vector<ShapeCotangent>> ones;
   for (const auto& c : cases)
     ones.emplace_back(c.segments.size(), ShapeCotangent{Positions::Ones(20, 3), Positions::Ones(20, 3)});
   const auto gradients = batch->pullback(ones);
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    const auto single = alone.predict({cases[i]}, {.gradients = true});
+    const auto single = alone.predict({cases[i]}, request);
     for (std::size_t s = 0; s < cases[i].segments.size(); ++s) {
       EXPECT_EQ(single->shapes()[0][s].mean, batch->shapes()[i][s].mean);
       EXPECT_EQ(single->shapes()[0][s].sigma, batch->shapes()[i][s].sigma);

@@ -50,6 +50,16 @@ TEST(Mppi, UpdateFollowsTheWeightsByHand) {
   EXPECT_NEAR(f.points[6][0], mean / sum, 1e-12);  // the second population's mean
 }
 
+TEST(Mppi, MakesProgressInNoise) {
+  LeastSquares f(3, 3, [random = RandomStream(5)](const Vector& x, Index) mutable {
+    Vector r = x;
+    for (Index i = 0; i < 3; ++i) r[i] += 0.1 * random.normal();
+    return Residuals{r, Matrix::Identity(3, 3)};
+  });
+  for (const Params& p : {Params(), cem()})
+    EXPECT_LT(run(p, f, vec({1.2, -1.5, 0.9}), cube(3, 2))[0].x.squaredNorm(), 0.1 * 4.5) << p.method;
+}
+
 TEST(Mppi, SpreadTemperatureKnowsNoUnits) {
   LeastSquares f = bowl(vec({1.0, -1.0}), vec({1, 2})), g = bowl(vec({1.0, -1.0}), vec({1e6, 2e6}));
   run(Params(), f, Matrix::Zero(2, 1), cube(2, 4));

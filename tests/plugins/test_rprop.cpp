@@ -4,6 +4,7 @@
 #include <functional>
 
 #include "optimiser/rprop/rprop.cpp"  // the class is compiled in: what is tested here does not need the loader
+#include "weft/random.hpp"
 
 namespace weft::rprop {
 namespace {
@@ -102,6 +103,16 @@ TEST(Rprop, SolvesAnIllConditionedBowl) {
   EXPECT_LT(r[0].cost, 1e-6);
   EXPECT_EQ(r[0].status, OptimiserStatus::converged) << r[0].message;
   EXPECT_LT(r[0].iterations, 400);
+}
+
+TEST(Rprop, MakesProgressInNoise) {
+  Function f(3, [random = RandomStream(5)](const Vector& x, Vector& g, Index) mutable {
+    for (Index i = 0; i < 3; ++i) g[i] = x[i] + 0.2 * random.normal();
+    return 0.5 * x.squaredNorm() + 0.05 * random.normal();
+  });
+  const Vector start = vec({1.2, -1.5, 0.9});
+  const auto r = Rprop(Params{}).minimise(f, start, cube(3, 2), Vector::Constant(3, 0.25), {}, nullptr);
+  EXPECT_LT(r[0].x.squaredNorm(), 0.1 * start.squaredNorm());
 }
 
 TEST(Rprop, StopsOnTheBoundaryAndNeverLeavesTheBox) {

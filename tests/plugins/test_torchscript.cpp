@@ -217,10 +217,11 @@ TEST_F(TorchScript, NormalisesAroundTheModule) {
     cotangents[0].push_back({one.shape->array().cos().matrix(), (2.0 * one.shape->array() - 1.0).matrix()});
   save_module(folder_ / "m.pt", kForward);
   write_metadata();
-  const auto plain = bound()->predict({one}, {.gradients = true});
+  const PredictionRequest request{.gradients = true, .state_gradients = true, .shape_gradients = true};
+  const auto plain = bound()->predict({one}, request);
   save_module(folder_ / "m.pt", kNormalised);
   write_metadata(numbers);
-  const auto normalised = bound()->predict({one}, {.gradients = true});
+  const auto normalised = bound()->predict({one}, request);
   for (std::size_t s = 0; s < 2; ++s) {
     const auto &a = plain->shapes()[0][s], &b = normalised->shapes()[0][s];
     EXPECT_LT((a.mean - b.mean).cwiseAbs().maxCoeff(), 1e-6);
@@ -242,7 +243,7 @@ TEST_F(TorchScript, PassesThePreviousShape) {
   const auto moving = a_case();
   auto at_rest = moving;
   at_rest.previous.reset();
-  const auto prediction = bound()->predict({moving, at_rest}, {.gradients = true});
+  const auto prediction = bound()->predict({moving, at_rest}, {.gradients = true, .shape_gradients = true});
   const auto pace = [&](Index k) { return (0.1 * moving.controls.topRows(k).col(0).array()).tanh().sum(); };
   const Positions &x = *moving.shape, gap = x - *moving.previous;
   for (std::size_t s = 0; s < 2; ++s) {
@@ -344,7 +345,7 @@ TEST_F(TorchScript, ASessionKeepsToWhatTheModuleTakes) {
                                         "test");
   SessionParams params;
   read_params(config, params);
-  const SessionResult result = run_session(params, config, *host_);
+  const SessionResult result = run_configured_session(params, config, *host_);
   ASSERT_EQ(result.rounds.size(), 5u);
   for (const auto& round : result.rounds) EXPECT_EQ(round.plan.horizon, 3);
   ASSERT_EQ(result.estimates.size(), 5u);

@@ -19,6 +19,7 @@
 #include "report/cases_file.hpp"
 #include "report/page.hpp"
 #include "session/session.hpp"
+#include "session/session_file.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/random.hpp"
@@ -71,7 +72,7 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
   RandomStream random(1, 1);
 
   SessionResult result;
-  result.true_material << 0.62, 0.35, 0.71, 0.22;
+  result.true_material = MaterialProperties(0.62, 0.35, 0.71, 0.22);
   const auto goal_states = [&](double pace, double turn, double shift) {
     Controls controls = Controls::Zero(segments, static_cast<Index>(trajectory.controls().size()));
     for (Index j = 0; j < segments; ++j) {
@@ -107,7 +108,7 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
       const double left = std::exp(-0.22 * static_cast<double>(r) * (0.6 + 0.3 * static_cast<double>(p)));
       round.knowledge.width(p) = 0.12 + 0.88 * left;
       round.knowledge.centre(p) =
-          result.true_material(p) + (0.5 - result.true_material(p)) * left + 0.03 * (random.uniform() - 0.5);
+          (*result.true_material)(p) + (0.5 - (*result.true_material)(p)) * left + 0.03 * (random.uniform() - 0.5);
     }
     auto& plan = round.plan;
     plan.controls = executed.bottomRows(segments - r);
@@ -143,6 +144,9 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
     plan.losses = plan.curves.back();
     plan.instance = std::min_element(plan.losses.begin(), plan.losses.end()) - plan.losses.begin();
     plan.loss = plan.losses[static_cast<std::size_t>(plan.instance)];
+    plan.ended = {OptimiserStatus::budget_spent,
+                  "max_iterations",
+                  {{OptimiserStatus::converged, 3}, {OptimiserStatus::budget_spent, 13}}};
     plan.iterations = static_cast<Index>(iterations);
     plan.seconds = r == 0 ? 2.31 : 0.45 + 0.3 * random.uniform();
 

@@ -216,6 +216,8 @@ TEST(Planner, TheBestResidualLossWins) {
   setup.params.iterations = 5;
   const Plan plan = setup.plan();
   ASSERT_EQ(plan.losses.size(), 4u);
+  EXPECT_EQ(plan.ended.status, OptimiserStatus::budget_spent) << plan.ended.message;
+  EXPECT_EQ(plan.ended.instances, (std::map<OptimiserStatus, Index>{{OptimiserStatus::budget_spent, 4}}));
   EXPECT_EQ(plan.loss, *std::min_element(plan.losses.begin(), plan.losses.end()));
   EXPECT_EQ(plan.loss, plan.losses[static_cast<std::size_t>(plan.instance)]);
 }

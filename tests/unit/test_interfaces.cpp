@@ -93,6 +93,64 @@ class BarePrediction final : public Prediction {
   std::string failure_;
 };
 
+TEST(Trajectory, DecisionsAreTheControlsRowByRowUnlessOverridden) {
+  const ToyTrajectory toy;
+  const Vector state = Vector::Zero(1), x = Vector::LinSpaced(3, 0.01, 0.03);
+  EXPECT_EQ(toy.decision_size(3), 3);
+  EXPECT_EQ(toy.decode(x, 3, state), Controls(x));
+  EXPECT_EQ(toy.encode(Controls(x), state), x);
+  EXPECT_EQ(toy.decode_pullback(x, 3, state, Controls(2.0 * x)), 2.0 * x);
+  EXPECT_EQ(toy.decision_bounds(3).upper, Vector::Constant(3, 0.1));
+  EXPECT_EQ(toy.decision_scale(3), Vector::Constant(3, 0.01));
+  EXPECT_THROW(toy.decision_size(-1), ShapeError);
+  EXPECT_THROW(toy.decode(x, 2, state), ShapeError);
+  EXPECT_THROW(toy.decode(x, 3, Vector::Zero(2)), ShapeError);
+  EXPECT_THROW(toy.decode_pullback(x, 3, state, Controls::Zero(2, 1)), ShapeError);
+  EXPECT_THROW(toy.encode(Controls::Zero(3, 2), state), ShapeError);
+  EXPECT_THROW(toy.advance({}, state, Vector::Zero(2)), ShapeError);
+}
+
+/// Bends what it adds, so that no derivative is that of another frame: s' = s + c (1 + s), c constant in a segment.
+class Growing final : public ToyTrajectory {
+ public:
+  Vector advance(const Manipulation&, ConstVec state, ConstVec control) const override {
+    return state + control * (1.0 + state[0]);
+  }
+  void advance_pullback(const Manipulation&, ConstVec state, ConstVec control, ConstVec d_next, Vector& d_state,
+                        Vector& d_control) const override {
+    d_state = d_next * (1.0 + control[0]);
+    d_control = d_next * (1.0 + state[0]);
+  }
+};
+
+TEST(Trajectory, PullbackOfStatesIsTheChainThroughAllFrames) {
+  const Growing growing;
+  const Vector start = Vector::Constant(1, 0.2), weight = Vector::LinSpaced(3, 1.0, -2.0);
+  Controls controls(3, 1);
+  controls << 0.01, 0.03, -0.02;
+  // L = sum_j weight_j s_j + 5 c_0
+  const auto loss = [&](const Vector& from, const Controls& c) {
+    return growing.segment_states({}, from, c).col(0).dot(weight) + 5.0 * c(0, 0);
+  };
+  Controls gradient = Controls::Zero(4, 1);  // a row more than there are segments
+  gradient(0, 0) = 5.0;
+  gradient(3, 0) = 7.0;
+  const auto add = [&](Index j, Vector& d_state) { d_state[0] += weight[j]; };
+  const Vector d_start = growing.pullback_states({}, start, controls, add, gradient);
+  constexpr double h = 1e-6;
+  for (Index j = 0; j < 3; ++j) {
+    Controls up = controls, down = controls;
+    up(j, 0) += h;
+    down(j, 0) -= h;
+    EXPECT_NEAR(gradient(j, 0), (loss(start, up) - loss(start, down)) / (2.0 * h), 1e-6) << j;
+  }
+  EXPECT_EQ(gradient(3, 0), 7.0);
+  const Vector step = Vector::Constant(1, h);
+  EXPECT_NEAR(d_start[0], (loss(start + step, controls) - loss(start - step, controls)) / (2.0 * h), 1e-6);
+  Controls short_gradient = Controls::Zero(2, 1);
+  EXPECT_THROW(growing.pullback_states({}, start, controls, add, short_gradient), ShapeError);
+}
+
 TEST(Interfaces, UndeclaredAbilitiesThrowUnsupported) {
   BareSimulator simulator;
   EXPECT_THROW(simulator.save(), Unsupported);

@@ -73,8 +73,7 @@ struct Jvp : testing::Test {
       const JvpOptions& options = {}, Index* predicted = nullptr) {
     const auto base = predictor.predict(cases, {});
     predictor.batches.clear();
-    return directional_derivatives(predictor, *base, cases, directions, trajectory, Moments::mean_and_sigma, options,
-                                   predicted);
+    return jvp(predictor, *base, cases, directions, trajectory, Moments::mean_and_sigma, options, predicted);
   }
 };
 

@@ -13,27 +13,15 @@ class ToyTrajectory : public Trajectory {
   std::vector<Variable> state() const override { return {{"z", "m", 0.0, 10.0, 0.0, 0.1}}; }
   Index hands() const override { return 2; }
   Vector initial_state(const Manipulation&) const override { return Vector::Zero(1); }
-  Vector advance(const Manipulation&, ConstVec state, ConstVec control) const override { return state + control; }
   Positions targets(const Manipulation& m, ConstVec state) const override {
     Positions result = m.grasp_points;
     result.col(2).array() += state[0];
     return result;
   }
-  void advance_pullback(const Manipulation&, ConstVec, ConstVec, ConstVec d_next, Vector& d_state,
-                        Vector& d_control) const override {
-    d_state = d_next;
-    d_control = d_next;
-  }
   Vector targets_pullback(const Manipulation&, ConstVec, const Positions& d_targets) const override {
     return Vector::Constant(1, d_targets.col(2).sum());
   }
   double progress(ConstVec state) const override { return state[0]; }
-  Index decision_size(Index horizon) const override { return horizon; }
-  Controls decode(ConstVec x, Index, ConstVec) const override { return x; }
-  Vector decode_pullback(ConstVec, Index, ConstVec, const Controls& d_controls) const override { return d_controls; }
-  Vector encode(const Controls& controls, ConstVec) const override { return controls; }
-  Box decision_bounds(Index horizon) const override { return {Vector::Zero(horizon), Vector::Constant(horizon, 0.1)}; }
-  Vector decision_scale(Index horizon) const override { return Vector::Constant(horizon, 0.01); }
 };
 
 struct NoParams {

@@ -27,6 +27,8 @@ export interface Round {
   sigma: ArrayRef;
   targets: ArrayRef;
 }
+/** Why a search ended: of the instance that won, and how many instances ended how. */
+export interface SearchEnd { status: string; message: string; instances: Record<string, number> }
 export interface Summary {
   error_mm: number;
   default_error_mm: number;
@@ -35,11 +37,13 @@ export interface Summary {
   settle_frames: number;
   plan_seconds: number[];
   plan_iterations: number[];
+  /** Missing in sessions of earlier versions. */
+  plan_ended?: SearchEnd[];
   predicted_error_mm: number[];
   estimate_seconds: number[];
   simulate_seconds: number;
   refinement_seconds?: number;
-  max_grasp_strain?: number;
+  max_grasp_strain?: number | null;
   warnings: string[];
 }
 export interface SessionData {
@@ -48,7 +52,8 @@ export interface SessionData {
   released: boolean;
   /** Frame at which the hands let go; what follows is the settling. */
   release_frame: number;
-  true_material: number[];
+  /** Missing where nobody knows it. */
+  true_material?: number[];
   start_error_mm: number;
   frames: ArrayRef;
   goal: ArrayRef;

@@ -1,7 +1,7 @@
 // The page of one session.
 import { chart, key, materialChart, Plot, wholeTicks, type Chart } from './charts';
 import { colourLegend, niceCeiling } from './colours';
-import { decode, decodeFaces, distancesMm, quantile, Shapes, type PageData } from './data';
+import { decode, decodeFaces, distancesMm, quantile, Shapes, type PageData, type SearchEnd } from './data';
 import { duration, fixed, h, hashOptions, label, section } from './dom';
 import { provenanceDetails, tile, title } from './frame';
 import { Player, seconds } from './player';
@@ -14,6 +14,14 @@ const kColourings: Record<Colouring, { option: string; legend: string }> = {
   prediction: { option: 'distance from what was predicted', legend: 'distance from what was predicted, mm' },
   sigma: { option: 'predicted sigma', legend: 'predicted σ, mm' },
 };
+
+/** As in "It converged (every step is below step_tolerance); all instances: converged 12, budget spent 4". */
+function howItEnded(end: SearchEnd): string {
+  const words: Record<string, string> = { budget_spent: 'ran out of budget', stopped: 'was stopped', diverged: 'found no finite loss', infeasible: 'could not be solved' };
+  const one = words[end.status] ?? end.status;
+  const all = Object.entries(end.instances).map(([status, number]) => `${status.replaceAll('_', ' ')} ${number}`).join(', ');
+  return `It ${one}${end.message ? ` (${end.message})` : ''}; all instances: ${all}`;
+}
 
 export function sessionPage(page: PageData): HTMLElement {
   const session = page.session!, summary = page.summary!, garment = page.garment!;
@@ -221,7 +229,7 @@ export function sessionPage(page: PageData): HTMLElement {
 
   // After each segment where it was estimated, else what each plan was made with.
   const known = session.estimates ?? rounds.map((r) => r.knowledge);
-  const knowledgeCharts = page.properties.map((name, p) => materialChart(name, known, p, session.true_material[p], { seek }));
+  const knowledgeCharts = page.properties.map((name, p) => materialChart(name, known, p, session.true_material?.[p], { seek }));
 
   const winner = () => rounds[round].losses.indexOf(Math.min(...rounds[round].losses));
   const lossChart = chart('Planning loss per iteration and instance', (width) => {
@@ -248,7 +256,9 @@ export function sessionPage(page: PageData): HTMLElement {
   const lossText = h('p', { class: 'note', id: 'loss-note' });
   function lossNote() {
     if (rounds.length === 0) return;
-    lossText.textContent = `Round ${round + 1}: ${summary.plan_iterations[round]} iterations of ${rounds[round].losses.length} instances in ${duration(summary.plan_seconds[round])}; instance ${winner() + 1} won with ${fixed(Math.min(...rounds[round].losses))} mm².`;
+    const won = `Round ${round + 1}: ${summary.plan_iterations[round]} iterations of ${rounds[round].losses.length} instances in ${duration(summary.plan_seconds[round])}; instance ${winner() + 1} won with ${fixed(Math.min(...rounds[round].losses))} mm²`;
+    const ended = summary.plan_ended?.[round];
+    lossText.textContent = `${won}${ended ? `. ${howItEnded(ended)}` : ''}.`;
   }
 
   const aheadChart = chart('Prediction of the round against what happened', (width) => {
@@ -340,10 +350,10 @@ export function sessionPage(page: PageData): HTMLElement {
       section('ahead', 'Prediction against what happened', 'What the chosen round predicted for the segments that followed.',
         key({ text: 'mean distance from what happened', colour: 'var(--c0)', style: 'line' }, { text: 'mean predicted σ', colour: 'var(--prediction)' }, { text: 'other rounds', colour: 'var(--muted)', style: 'line' }),
         aheadChart.element),
-      h('div', { class: 'wide' }, section('material', session.estimates ? 'What was learnt of the material' : 'What the planner knew of the material', `Band c ± w/2 and centre c ${session.estimates ? 'estimated after each segment' : 'that each plan was made with'}; the dotted line is the true value. 0 and 1 are the ends of the range that the material space spans.`,
+      h('div', { class: 'wide' }, section('material', session.estimates ? 'What was learnt of the material' : 'What the planner knew of the material', `Band c ± w/2 and centre c ${session.estimates ? 'estimated after each segment' : 'that each plan was made with'}; ${session.true_material ? 'the dotted line is the true value' : 'nobody knows the true value'}. 0 and 1 are the ends of the range that the material space spans.`,
         h('div', { class: 'small-multiples' }, ...page.properties.map((name, p) => h('div', {},
           h('h3', {}, h('span', { class: 'swatch', style: `background:var(--${name})` }), label(name),
-            h('span', { class: 'sub' }, `true ${fixed(session.true_material[p], 2)}`)), knowledgeCharts[p].element))))),
+            session.true_material ? h('span', { class: 'sub' }, `true ${fixed(session.true_material[p], 2)}`) : null), knowledgeCharts[p].element))))),
       section('loss', 'Planning loss', null, lossText,
         key({ text: 'winner', colour: 'var(--c1)', style: 'line' }, { text: 'other instances', colour: 'var(--muted)', style: 'line' }), lossChart.element),
       section('time', 'Time', `Planning ${duration(total(summary.plan_seconds))}${estimated ? `, estimating ${duration(total(summary.estimate_seconds))}` : ''}${summary.refinement_seconds ? `, refining ${duration(summary.refinement_seconds)}` : ''}, executing (simulator) ${duration(summary.simulate_seconds)} in all.`,

@@ -142,7 +142,7 @@ async function sessionPage() {
   // Rounds: the prediction of a chosen round, and its planning losses.
   await page.locator('#round').selectOption('4');
   assert.equal(await page.locator('#follow').isChecked(), false);
-  assert.match(await text(page, '#loss-note'), /^Round 5: 30 iterations of 16 instances/);
+  assert.match(await text(page, '#loss-note'), /^Round 5: 30 iterations of 16 instances .* mm²\. It ran out of budget \(max_iterations\); all instances: converged 3, budget spent 13\.$/);
   await page.locator('#scrub').evaluate((range) => {
     range.value = '96';
     range.dispatchEvent(new Event('input'));

@@ -71,23 +71,22 @@ struct OptimiserResult {
 /// stops the search there. Called on the thread that called minimise.
 using OptimiserObserver = std::function<bool(Index iteration, const Vector& best_costs)>;
 
+/// What a solver asks an objective for; it evaluates nothing else.
 struct OptimiserCapabilities {
   bool needs_gradients = false;
-  bool needs_residuals = false;
-  bool honours_bounds = true;  ///< never evaluates outside the box
-  bool stochastic = false;     ///< uses options.seed
-  bool handles_noise = false;  ///< still makes progress when costs carry noise
+  bool needs_residuals = false;  ///< with their Jacobians
 };
 
 /// Minimises several instances of one objective at the same time. Stateless: minimise() may run on many threads.
 class WEFT_API Optimiser {
  public:
   static constexpr const char* kKind = "optimiser";
-  static constexpr int kVersion = 1;  // bump on any change to this class or the types above
+  static constexpr int kVersion = 2;  // bump on any change to this class or the types above
   virtual ~Optimiser() = default;
 
   virtual OptimiserCapabilities capabilities() const = 0;
-  /// @param starts [dim, instances], clamped into bounds. @param bounds finite, units of x.
+  /// @param starts [dim, instances], clamped into bounds. @param bounds finite, units of x; no point outside is
+  /// evaluated.
   /// @param scale [dim], > 0: a typical change of each variable; step sizes are multiples of it.
   /// @return [instances]. A non-finite cost or gradient costs that instance, never the others.
   /// @throws ShapeError; Unsupported if the objective lacks what capabilities() needs; what the objective throws.

@@ -1,9 +1,19 @@
 #pragma once
 #include <cstdint>
+#include <string_view>
 
 #include "weft/export.hpp"
 
 namespace weft {
+
+/// Key of a random stream, from a word of at most eight ASCII letters: its bytes, the first one highest.
+/// stream_key("goal") == 0x676f616c. Each purpose draws from a stream of its own.
+consteval std::uint64_t stream_key(std::string_view word) {
+  if (word.empty() || word.size() > 8) throw "a stream's word has 1 to 8 letters";
+  std::uint64_t key = 0;
+  for (const char letter : word) key = key << 8 | static_cast<unsigned char>(letter);
+  return key;
+}
 
 /// Counter-based random numbers (Philox 4x32-10, Salmon et al. 2011): the stream is a pure function of (seed, keys), so
 /// example 17 draws the same numbers whatever ran before it and on whichever thread. Cheap to make and to copy.

@@ -1,4 +1,5 @@
 #pragma once
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -27,11 +28,14 @@ struct SegmentPath {
 ///
 /// A control row [C] holds per-frame deltas that are constant within a segment. The control state [S] accumulates them;
 /// grasp targets are a function of the state alone. An optimiser searches over a decision vector x [D], which `decode`
-/// maps to controls [k, C]; for most trajectories x is the controls themselves, row by row.
+/// maps to controls [k, C].
+///
+/// Seven functions must be written. The defaults of the others are for a trajectory whose state is the sum of its
+/// controls (S = C) and whose x is the controls, row by row.
 class WEFT_API Trajectory {
  public:
   static constexpr const char* kKind = "trajectory";
-  static constexpr int kVersion = 1;  // bump on any change to this class
+  static constexpr int kVersion = 2;  // bump on any change to this class
   virtual ~Trajectory() = default;
 
   virtual std::vector<Variable> controls() const = 0;  ///< C >= 1 entries
@@ -40,43 +44,66 @@ class WEFT_API Trajectory {
 
   /// @throws ConfigError for a manipulation that this trajectory cannot do (such as |d| = 0).
   virtual Vector initial_state(const Manipulation& manipulation) const = 0;
-
-  /// State one frame later. @param state [S]; @param control [C]. @throws ShapeError.
-  virtual Vector advance(const Manipulation& manipulation, ConstVec state, ConstVec control) const = 0;
   /// Grasp targets at a state, [G, 3] m. At initial_state they are the grasp points.
   virtual Positions targets(const Manipulation& manipulation, ConstVec state) const = 0;
-
-  /// Vector-Jacobian products of the two maps above, exact.
-  /// @param d_next [S]: dL/d advance(...). Adds nothing: the outputs are overwritten. d_state [S], d_control [C].
-  virtual void advance_pullback(const Manipulation& manipulation, ConstVec state, ConstVec control, ConstVec d_next,
-                                Vector& d_state, Vector& d_control) const = 0;
+  /// The exact vector-Jacobian product of targets().
   /// @param d_targets [G, 3]: dL/d targets(...). @return dL/d state [S].
   virtual Vector targets_pullback(const Manipulation& manipulation, ConstVec state,
                                   const Positions& d_targets) const = 0;
-
   /// Progress towards release: 0 at the start, >= 1 once the cloth is to be released at the end of the segment (eq. 5;
   /// for the arc theta / 180 deg).
   virtual double progress(ConstVec state) const = 0;
   bool released(ConstVec state) const { return progress(state) >= 1.0; }
 
-  /// Decision vector for `horizon` segments starting at `state`.
-  virtual Index decision_size(Index horizon) const = 0;
-  virtual Controls decode(ConstVec x, Index horizon, ConstVec state) const = 0;  ///< @return [horizon, C]
+  /// State one frame later, [S]; by default state + control. Override it together with advance_pullback().
+  /// @param state [S]; @param control [C]. @throws ShapeError.
+  virtual Vector advance(const Manipulation& manipulation, ConstVec state, ConstVec control) const;
+  /// The exact vector-Jacobian product of advance(). The outputs are overwritten.
+  /// @param d_next [S]: dL/d advance(...). @param d_state, d_control set to [S] and [C].
+  virtual void advance_pullback(const Manipulation& manipulation, ConstVec state, ConstVec control, ConstVec d_next,
+                                Vector& d_state, Vector& d_control) const;
+
+  /// Length D of a decision vector for `horizon` segments that start at `state`; by default horizon * C.
+  /// @throws ShapeError for a negative horizon.
+  virtual Index decision_size(Index horizon) const;
+  virtual Controls decode(ConstVec x, Index horizon, ConstVec state) const;  ///< @return [horizon, C]
   /// dL/dx from dL/d controls [horizon, C].
-  virtual Vector decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const = 0;
+  virtual Vector decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const;
   /// The x whose decoded controls are nearest (least squares) to the given ones; exact where decode is one-to-one.
-  virtual Vector encode(const Controls& controls, ConstVec state) const = 0;
-  virtual Box decision_bounds(Index horizon) const = 0;
-  virtual Vector decision_scale(Index horizon) const = 0;  ///< [D], > 0, as Variable::scale
+  virtual Vector encode(const Controls& controls, ConstVec state) const;
+  /// Bounds and scales of x, [D]. By default those of the controls, repeated: right for every x whose entry i stands for
+  /// control i modulo C, whatever decision_size() is.
+  virtual Box decision_bounds(Index horizon) const;
+  virtual Vector decision_scale(Index horizon) const;  ///< > 0, as Variable::scale
 
   // What follows is the same for every trajectory.
   /// The default trajectory (section 4): the default control on every segment.
-  WEFT_API Controls default_controls(Index horizon) const;
-  WEFT_API SegmentPath segment(const Manipulation& manipulation, ConstVec state, ConstVec control) const;
+  Controls default_controls(Index horizon) const;
+  SegmentPath segment(const Manipulation& manipulation, ConstVec state, ConstVec control) const;
   /// States after every segment, [k, S].
-  WEFT_API Controls segment_states(const Manipulation& manipulation, ConstVec state, const Controls& controls) const;
+  Controls segment_states(const Manipulation& manipulation, ConstVec state, const Controls& controls) const;
   /// u of eq. 5, 1-based: the first segment after which the cloth is released, or the last one.
-  WEFT_API Index release_segment(const Manipulation& manipulation, ConstVec state, const Controls& controls) const;
+  Index release_segment(const Manipulation& manipulation, ConstVec state, const Controls& controls) const;
+
+  /// Adds dL/d state after segment j = 0 ... k - 1 to `d_state` [S].
+  using AddStateGradient = std::function<void(Index j, Vector& d_state)>;
+  /// The chain rule through all frames of segment_states(), backwards.
+  /// @param state [S] at the start; @param controls [k, C].
+  /// @param add is called for j = k - 1 ... 0. `d_state` holds then what the later segments contribute, and row j + 1 of
+  /// d_controls what its segment contributes.
+  /// @param d_controls [k or more, C]: dL/d controls through the states is added to its first k rows.
+  /// @return dL/d state [S] at the start, through the states after the segments.
+  /// @throws ShapeError.
+  Vector pullback_states(const Manipulation& manipulation, ConstVec state, const Controls& controls,
+                         const AddStateGradient& add, Controls& d_controls) const;
 };
+
+/// What most trajectories demand of a manipulation; `who` starts the messages.
+/// @throws ShapeError unless it has hands() grasp points; ConfigError for grasp points or a displacement that is not
+/// finite.
+WEFT_API void check_manipulation(const std::string& who, const Trajectory& trajectory,
+                                 const Manipulation& manipulation);
+/// @throws ShapeError unless `state` is [S]; `who` starts the message.
+WEFT_API void check_state(const std::string& who, const Trajectory& trajectory, ConstVec state);
 
 }  // namespace weft

@@ -21,8 +21,10 @@ using Positions = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 using RestPositions = Eigen::Matrix<double, Eigen::Dynamic, 2, Eigen::RowMajor>;
 /// [f, 3] vertex indices, counter-clockwise seen from above in the rest shape.
 using Faces = Eigen::Matrix<int, Eigen::Dynamic, 3, Eigen::RowMajor>;
+/// Row-major, such as one row per segment or per frame.
+using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 /// m_i of eq. 1: [k, C], one row per segment. For the arc C = 5 per-FRAME deltas, constant within a segment.
-using Controls = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using Controls = RowMatrix;
 
 /// Length of a simulation frame, s.
 inline constexpr double kFrameSeconds = 1.0 / 60.0;

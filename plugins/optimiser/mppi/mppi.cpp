@@ -31,12 +31,7 @@ Mppi::Mppi(const Params& params) : p_(params) {
     throw ConfigError("mppi: cem.elite_fraction of `samples` is less than one sample");
 }
 
-OptimiserCapabilities Mppi::capabilities() const {
-  OptimiserCapabilities c;
-  c.stochastic = true;
-  c.handles_noise = true;
-  return c;
-}
+OptimiserCapabilities Mppi::capabilities() const { return {}; }
 
 std::vector<OptimiserResult> Mppi::minimise(Objective& objective, ConstMatrix starts, const Box& bounds, ConstVec scale,
                                             const OptimiserOptions& options, const OptimiserObserver& observer) const {

@@ -18,28 +18,27 @@ struct Algorithm {
   const char* name;
   nlopt_algorithm code;
   bool gradients;
-  bool stochastic;
 };
 constexpr Algorithm kAlgorithms[] = {
-    {"LBFGS", NLOPT_LD_LBFGS, true, false},
-    {"MMA", NLOPT_LD_MMA, true, false},
-    {"CCSAQ", NLOPT_LD_CCSAQ, true, false},
-    {"SLSQP", NLOPT_LD_SLSQP, true, false},
-    {"TNEWTON", NLOPT_LD_TNEWTON, true, false},
-    {"TNEWTON_RESTART", NLOPT_LD_TNEWTON_RESTART, true, false},
-    {"TNEWTON_PRECOND", NLOPT_LD_TNEWTON_PRECOND, true, false},
-    {"TNEWTON_PRECOND_RESTART", NLOPT_LD_TNEWTON_PRECOND_RESTART, true, false},
-    {"VAR1", NLOPT_LD_VAR1, true, false},
-    {"VAR2", NLOPT_LD_VAR2, true, false},
-    {"COBYLA", NLOPT_LN_COBYLA, false, false},
-    {"BOBYQA", NLOPT_LN_BOBYQA, false, false},
-    {"NELDERMEAD", NLOPT_LN_NELDERMEAD, false, false},
-    {"SBPLX", NLOPT_LN_SBPLX, false, false},
-    {"CRS2_LM", NLOPT_GN_CRS2_LM, false, true},
-    {"ISRES", NLOPT_GN_ISRES, false, true},
-    {"ESCH", NLOPT_GN_ESCH, false, true},
-    {"DIRECT", NLOPT_GN_DIRECT, false, false},
-    {"DIRECT_L", NLOPT_GN_DIRECT_L, false, false},
+    {"LBFGS", NLOPT_LD_LBFGS, true},
+    {"MMA", NLOPT_LD_MMA, true},
+    {"CCSAQ", NLOPT_LD_CCSAQ, true},
+    {"SLSQP", NLOPT_LD_SLSQP, true},
+    {"TNEWTON", NLOPT_LD_TNEWTON, true},
+    {"TNEWTON_RESTART", NLOPT_LD_TNEWTON_RESTART, true},
+    {"TNEWTON_PRECOND", NLOPT_LD_TNEWTON_PRECOND, true},
+    {"TNEWTON_PRECOND_RESTART", NLOPT_LD_TNEWTON_PRECOND_RESTART, true},
+    {"VAR1", NLOPT_LD_VAR1, true},
+    {"VAR2", NLOPT_LD_VAR2, true},
+    {"COBYLA", NLOPT_LN_COBYLA, false},
+    {"BOBYQA", NLOPT_LN_BOBYQA, false},
+    {"NELDERMEAD", NLOPT_LN_NELDERMEAD, false},
+    {"SBPLX", NLOPT_LN_SBPLX, false},
+    {"CRS2_LM", NLOPT_GN_CRS2_LM, false},
+    {"ISRES", NLOPT_GN_ISRES, false},
+    {"ESCH", NLOPT_GN_ESCH, false},
+    {"DIRECT", NLOPT_GN_DIRECT, false},
+    {"DIRECT_L", NLOPT_GN_DIRECT_L, false},
 };
 
 const Algorithm& find(const std::string& name) {
@@ -166,7 +165,6 @@ Nlopt::Nlopt(const Params& params) : p_(params) { find(p_.algorithm); }
 OptimiserCapabilities Nlopt::capabilities() const {
   OptimiserCapabilities c;
   c.needs_gradients = find(p_.algorithm).gradients;
-  c.stochastic = find(p_.algorithm).stochastic;
   return c;
 }
 

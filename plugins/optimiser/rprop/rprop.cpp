@@ -27,13 +27,7 @@ double sign(double v) { return v > 0.0 ? 1.0 : v < 0.0 ? -1.0 : 0.0; }
 
 }  // namespace
 
-OptimiserCapabilities Rprop::capabilities() const {
-  OptimiserCapabilities c;
-  c.needs_gradients = true;
-  c.honours_bounds = true;
-  c.handles_noise = true;
-  return c;
-}
+OptimiserCapabilities Rprop::capabilities() const { return {.needs_gradients = true}; }
 
 std::vector<OptimiserResult> Rprop::minimise(Objective& objective, ConstMatrix starts, const Box& bounds,
                                              ConstVec scale, const OptimiserOptions& options,

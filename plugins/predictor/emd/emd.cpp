@@ -20,11 +20,11 @@ struct Part {
   Network::Tape tape;
 };
 
-class EmdPrediction final : public Prediction {
+class EmdPrediction final : public PlainPrediction {
  public:
   EmdPrediction(std::shared_ptr<const EmdPredictor::Bound> bound, Host& host, const std::vector<PredictionCase>& cases,
                 const PredictionRequest& request)
-      : bound_(std::move(bound)), host_(host), request_(request), shapes_(cases.size()), failures_(cases.size()) {
+      : PlainPrediction(cases.size()), bound_(std::move(bound)), host_(host), request_(request) {
     for (const auto& one : cases) {
       segments_.push_back(one.segments);
       sizes_.emplace_back(one.controls.rows(), one.controls.cols());
@@ -37,9 +37,6 @@ class EmdPrediction final : public Prediction {
                        [&](std::int64_t p) { run(cases, parts_[static_cast<std::size_t>(p)]); });
   }
 
-  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
-  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
-
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
     if (!request_.gradients) throw Unsupported("emd: pullback needs a prediction made with gradients");
     check_sizes(cotangents);
@@ -47,13 +44,14 @@ class EmdPrediction final : public Prediction {
     for (std::size_t i = 0; i < gradients.size(); ++i) {
       gradients[i].controls = Controls::Zero(sizes_[i].first, sizes_[i].second);
       gradients[i].state = Vector::Zero(dim().states);
-      gradients[i].shape = Positions::Zero(dim().vertices, 3);
+      if (request_.shape_gradients) gradients[i].shape = Positions::Zero(dim().vertices, 3);
     }
     host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
-                       [&](std::int64_t p) { pull(parts_[static_cast<std::size_t>(p)], cotangents, gradients); });
+                       [&](std::int64_t p) { pullback(parts_[static_cast<std::size_t>(p)], cotangents, gradients); });
     for (auto& gradient : gradients) {
       if (!request_.control_gradients) gradient.controls.setZero();
       if (!request_.knowledge_gradients) gradient.centre = gradient.width = PropertyVector::Zero();
+      if (!request_.state_gradients) gradient.state.resize(0);
     }
     return gradients;
   }
@@ -62,17 +60,17 @@ class EmdPrediction final : public Prediction {
       const std::vector<std::vector<CaseDirection>>& directions) const override {
     if (!request_.gradients) throw Unsupported("emd: jvp needs a prediction made with gradients");
     require_shape("emd: direction cases", static_cast<Index>(directions.size()), static_cast<Index>(segments_.size()));
-    std::vector<std::vector<std::vector<ShapeCotangent>>> tangents(directions.size());
+    std::vector<std::vector<std::vector<ShapeCotangent>>> derivatives(directions.size());
     for (std::size_t i = 0; i < directions.size(); ++i) {
       for (const auto& d : directions[i]) {
         require_shape("emd: direction rows", d.controls.rows(), sizes_[i].first);
         require_shape("emd: direction columns", d.controls.cols(), sizes_[i].second);
       }
-      tangents[i].resize(directions[i].size());
+      derivatives[i].resize(directions[i].size());
     }
     host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
-                       [&](std::int64_t p) { push(parts_[static_cast<std::size_t>(p)], directions, tangents); });
-    return tangents;
+                       [&](std::int64_t p) { jvp(parts_[static_cast<std::size_t>(p)], directions, derivatives); });
+    return derivatives;
   }
 
  private:
@@ -205,8 +203,8 @@ class EmdPrediction final : public Prediction {
     }
   }
 
-  void pull(const Part& part, const std::vector<std::vector<ShapeCotangent>>& cotangents,
-            std::vector<CaseGradient>& gradients) const {
+  void pullback(const Part& part, const std::vector<std::vector<ShapeCotangent>>& cotangents,
+                std::vector<CaseGradient>& gradients) const {
     const auto& block = part.block;
     const Index n = dim().coordinates(), u = dim().inputs();
     const std::size_t count = block.wanted.size() * static_cast<std::size_t>(n);
@@ -233,9 +231,12 @@ class EmdPrediction final : public Prediction {
         gradients[i].width.array() += d_width / 4.0;  // through the mean width
       }
     }
-    std::vector<float> d_inputs(block.inputs.size()), d_shape(block.shape.size()), d_change(block.shape.size());
+    const bool with_shape = request_.shape_gradients;
+    const std::size_t coordinates = with_shape ? block.shape.size() : 0;
+    std::vector<float> d_inputs(block.inputs.size()), d_shape(coordinates), d_change(coordinates);
     bound_->network->pullback(block, part.tape, d_mean.data(), d_sigma.empty() ? nullptr : d_sigma.data(),
-                              d_inputs.data(), d_shape.data(), d_change.data());
+                              d_inputs.data(), with_shape ? d_shape.data() : nullptr,
+                              with_shape ? d_change.data() : nullptr);
     for (Index r = 0; r < block.rows; ++r) {
       const std::size_t i = part.cases[static_cast<std::size_t>(r)];
       if (!failures_[i].empty()) continue;
@@ -243,6 +244,7 @@ class EmdPrediction final : public Prediction {
       for (Index j = 0; j < block.steps[static_cast<std::size_t>(r)]; ++j)
         rows.push_back(d_inputs.data() + (part.tape.offset[static_cast<std::size_t>(j)] + r) * u);
       input(part, r).pullback(model(), rows, gradients[i]);
+      if (!with_shape) continue;
       for (Index c = 0; c < n; ++c) {
         const auto at = static_cast<std::size_t>(r * n + c);
         const float sum = has_previous_[i] ? d_shape[at] + d_change[at] : d_shape[at];
@@ -251,8 +253,8 @@ class EmdPrediction final : public Prediction {
     }
   }
 
-  void push(const Part& part, const std::vector<std::vector<CaseDirection>>& directions,
-            std::vector<std::vector<std::vector<ShapeCotangent>>>& tangents) const {
+  void jvp(const Part& part, const std::vector<std::vector<CaseDirection>>& directions,
+           std::vector<std::vector<std::vector<ShapeCotangent>>>& derivatives) const {
     const auto& block = part.block;
     const Index n = dim().coordinates(), u = dim().inputs();
     std::vector<Index> rows;
@@ -262,7 +264,7 @@ class EmdPrediction final : public Prediction {
       for (const auto& direction : directions[i]) {
         rows.push_back(r);
         inputs.emplace_back();
-        input(part, r).tangent(model(), direction, inputs.back());
+        input(part, r).jvp(model(), direction, inputs.back());
       }
     }
     if (rows.empty()) return;
@@ -276,13 +278,13 @@ class EmdPrediction final : public Prediction {
     for (const Index r : rows) shapes += segments_[part.cases[static_cast<std::size_t>(r)]].size();
     const bool has_sigma = request_.moments == Moments::mean_and_sigma;
     std::vector<float> d_mean(shapes * static_cast<std::size_t>(n)), d_sigma(has_sigma ? d_mean.size() : 0);
-    bound_->network->tangent(block, part.tape, rows, flat.data(), d_mean.data(), has_sigma ? d_sigma.data() : nullptr);
+    bound_->network->jvp(block, part.tape, rows, flat.data(), d_mean.data(), has_sigma ? d_sigma.data() : nullptr);
     std::size_t at = 0;
     std::vector<std::size_t> next(directions.size(), 0);
     for (const Index r : rows) {
       const std::size_t i = part.cases[static_cast<std::size_t>(r)];
       const double d_width = directions[i][next[i]].width.mean();
-      auto& result = tangents[i][next[i]++];
+      auto& result = derivatives[i][next[i]++];
       for (std::size_t s = 0; s < segments_[i].size(); ++s) {
         ShapeCotangent one;
         one.mean.resize(dim().vertices, 3);
@@ -313,29 +315,7 @@ class EmdPrediction final : public Prediction {
   std::vector<double> widths_;                             // mean width of the knowledge
   std::vector<std::unique_ptr<const CaseInputs>> inputs_;  // per case; null: nothing to predict
   std::vector<Part> parts_;
-  std::vector<std::vector<ShapeDistribution>> shapes_;
-  std::vector<std::string> failures_;
 };
-
-void check(const Dimensions& d, const PredictionCase& one, std::size_t i) {
-  const std::string where = "emd: case " + std::to_string(i) + ": ";
-  if (!one.shape) throw ShapeError(where + "has no shape");
-  require_shape(where + "shape rows", one.shape->rows(), d.vertices);
-  if (one.previous) require_shape(where + "previous rows", one.previous->rows(), d.vertices);
-  require_shape(where + "state", one.state.size(), d.states);
-  require_shape(where + "control columns", one.controls.cols(), d.controls);
-  Index before = 0;
-  for (const Index segment : one.segments) {
-    if (segment <= before || segment > one.controls.rows()) {
-      throw ShapeError(where + "segments must ascend within [1, " + std::to_string(one.controls.rows()) + "], got " +
-                       std::to_string(segment));
-    }
-    before = segment;
-  }
-  const bool finite = one.shape->allFinite() && (!one.previous || one.previous->allFinite()) && one.state.allFinite() &&
-                      one.controls.allFinite() && one.knowledge.centre.allFinite() && one.knowledge.width.allFinite();
-  if (!finite) throw Error(where + "holds a number that is not finite");
-}
 
 }  // namespace
 
@@ -378,7 +358,7 @@ std::optional<Box> EmdPredictor::control_range() const {
 std::unique_ptr<Prediction> EmdPredictor::predict(const std::vector<PredictionCase>& cases,
                                                   const PredictionRequest& request) const {
   if (!bound_) throw Error("emd: predict() before bind()");
-  for (std::size_t i = 0; i < cases.size(); ++i) check(bound_->model->dimensions, cases[i], i);
+  check_cases("emd", bound_->task, cases);
   return std::make_unique<EmdPrediction>(bound_, host_, cases, request);
 }
 

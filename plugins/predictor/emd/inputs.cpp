@@ -45,41 +45,38 @@ void CaseInputs::write(const Model& model, Index j, float* to) const {
 void CaseInputs::pullback(const Model& model, const std::vector<const float*>& d_inputs, CaseGradient& gradient) const {
   const auto& trajectory = *task_.trajectory;
   const Index steps = controls_.rows(), targets = 3 * dim_.hands;
-  Vector carried = Vector::Zero(dim_.states), d_state, d_control;
-  const auto add_state = [&](Index row, const Vector& raw, Index state_at, Index targets_at) {
-    carried += raw.segment(state_at, dim_.states);
-    const Positions d_targets = Eigen::Map<const Positions>(raw.data() + targets_at, dim_.hands, 3);
-    carried += trajectory.targets_pullback(task_.manipulation, states_.row(row).transpose(), d_targets);
-  };
-  std::vector<Vector> frames(static_cast<std::size_t>(kFramesPerSegment));
-  for (Index j = steps - 1; j >= 0; --j) {
-    Vector raw(dim_.inputs());
-    for (Index i = 0; i < raw.size(); ++i) {
-      raw(i) = static_cast<double>(d_inputs[static_cast<std::size_t>(j)][i]) /
-               static_cast<double>(model.input_sd[static_cast<std::size_t>(i)]);
+  const Index before = dim_.controls, after = before + dim_.states;
+  const Index targets_before = after + dim_.states, targets_after = targets_before + targets;
+  Controls raw(steps, dim_.inputs());
+  for (Index j = 0; j < steps; ++j) {
+    for (Index i = 0; i < raw.cols(); ++i) {
+      raw(j, i) = static_cast<double>(d_inputs[static_cast<std::size_t>(j)][i]) /
+                  static_cast<double>(model.input_sd[static_cast<std::size_t>(i)]);
     }
-    const Index before = dim_.controls, after = before + dim_.states;
-    const Index targets_before = after + dim_.states, targets_after = targets_before + targets;
-    add_state(j + 1, raw, after, targets_after);
-    const Vector control = controls_.row(j).transpose();
-    frames[0] = states_.row(j).transpose();
-    for (std::size_t f = 1; f < frames.size(); ++f)
-      frames[f] = trajectory.advance(task_.manipulation, frames[f - 1], control);
-    for (std::size_t f = frames.size(); f-- > 0;) {
-      trajectory.advance_pullback(task_.manipulation, frames[f], control, carried, d_state, d_control);
-      gradient.controls.row(j) += d_control.transpose();
-      carried = d_state;
-    }
-    add_state(j, raw, before, targets_before);
-    gradient.controls.row(j) += raw.head(dim_.controls).transpose();
-    gradient.centre += raw.segment<4>(dim_.centre_input());
-    gradient.width += raw.segment<4>(dim_.width_input());
   }
-  gradient.state += carried;
+  // What the inputs of segment j say of a state, directly and through its targets.
+  const auto add_state = [&](Index row, Index j, Index state_at, Index targets_at, Vector& d_state) {
+    d_state += raw.row(j).segment(state_at, dim_.states).transpose();
+    const Positions d_targets = Eigen::Map<const Positions>(raw.row(j).data() + targets_at, dim_.hands, 3);
+    d_state += trajectory.targets_pullback(task_.manipulation, states_.row(row).transpose(), d_targets);
+  };
+  // The state after a segment is the one before the next.
+  const auto add = [&](Index j, Vector& d_state) {
+    if (j + 1 < steps) add_state(j + 1, j + 1, before, targets_before, d_state);
+    add_state(j + 1, j, after, targets_after, d_state);
+  };
+  Vector d_start =
+      trajectory.pullback_states(task_.manipulation, states_.row(0).transpose(), controls_, add, gradient.controls);
+  if (steps > 0) add_state(0, 0, before, targets_before, d_start);
+  gradient.state += d_start;
+  for (Index j = steps - 1; j >= 0; --j) {
+    gradient.controls.row(j) += raw.row(j).head(dim_.controls);
+    gradient.centre += raw.row(j).segment<4>(dim_.centre_input()).transpose();
+    gradient.width += raw.row(j).segment<4>(dim_.width_input()).transpose();
+  }
 }
 
-void CaseInputs::tangent(const Model& model, const CaseDirection& direction,
-                         std::vector<std::vector<float>>& to) const {
+void CaseInputs::jvp(const Model& model, const CaseDirection& direction, std::vector<std::vector<float>>& to) const {
   const auto& trajectory = *task_.trajectory;
   const Index steps = controls_.rows(), s = dim_.states, c = dim_.controls, g = 3 * dim_.hands;
   to.assign(static_cast<std::size_t>(steps), std::vector<float>(static_cast<std::size_t>(dim_.inputs())));
@@ -93,7 +90,7 @@ void CaseInputs::tangent(const Model& model, const CaseDirection& direction,
     const Vector control = controls_.row(j).transpose();
     Vector state = states_.row(j).transpose();
     for (Index frame = 0; frame < kFramesPerSegment; ++frame) {
-      // Rows of the Jacobians, one pullback each: a trajectory offers no tangent map.
+      // Rows of the Jacobians, one pullback each: a trajectory offers no jvp.
       Vector next(s);
       for (Index i = 0; i < s; ++i) {
         trajectory.advance_pullback(task_.manipulation, state, control, Vector::Unit(s, i), row_state, row_control);

@@ -1,5 +1,6 @@
 #pragma once
 #include "model.hpp"
+#include "weft/predictor.hpp"
 
 namespace weft::emd {
 
@@ -13,16 +14,16 @@ class CaseInputs {
   /// @param d_inputs [steps, inputs]: cotangents of the standardised inputs. Adds to the gradient's controls, knowledge
   /// and state, which must have their sizes.
   void pullback(const Model& model, const std::vector<const float*>& d_inputs, CaseGradient& gradient) const;
-  /// Tangent of the standardised inputs along a direction, [steps][inputs].
-  void tangent(const Model& model, const CaseDirection& direction, std::vector<std::vector<float>>& to) const;
+  /// Derivative of the standardised inputs along a direction, [steps][inputs].
+  void jvp(const Model& model, const CaseDirection& direction, std::vector<std::vector<float>>& to) const;
 
  private:
   const Task& task_;
   Dimensions dim_;
   Controls controls_;  ///< [steps, C]
   MaterialKnowledge knowledge_;
-  Controls states_;             ///< [steps + 1, S]
-  Controls targets_;            ///< [steps + 1, 3 G]
+  RowMatrix states_;            ///< [steps + 1, S]
+  RowMatrix targets_;           ///< [steps + 1, 3 G]
   std::vector<bool> released_;  ///< [steps]: at the end of segment j
 };
 

@@ -105,17 +105,22 @@ Index Network::skip_of(Index layer) const {
 }
 
 void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma) const {
-  const Index n = dim_.coordinates(), rows = block.rows, hidden = arch_.hidden, u = dim_.inputs(),
-              total = block.total();
-  const Index most = rows == 0 ? 0 : block.steps.front();
+  const Index most = block.rows == 0 ? 0 : block.steps.front();
   tape.running.clear();
   tape.offset.assign(1, 0);
   for (Index j = 0; j < most; ++j) {
     tape.running.push_back(block.running(j));
     tape.offset.push_back(tape.offset.back() + tape.running.back());
   }
+  tape.z.resize(static_cast<std::size_t>(most) + 1);
+  tape.norm.resize(static_cast<std::size_t>(most) + 1);
+  encode(block, tape);
+  advance(block, tape);
+  decode(block, tape, mean, sigma);
+}
 
-  // Encoder.
+void Network::encode(const Block& block, Tape& tape) const {
+  const Index n = dim_.coordinates(), rows = block.rows;
   tape.encoder_pre.resize(size_of(rows, arch_.encoder_hidden));
   times(encoder_shape_, rows, block.shape.data(), n, tape.encoder_pre.data(), arch_.encoder_hidden,
         bias(layout_.encoder_bias), false);
@@ -128,16 +133,16 @@ void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma)
   }
   std::vector<float> work(tape.encoder_pre.size());
   kernels_.activate(work.size(), tape.encoder_pre.data(), work.data(), tanh());
-  tape.z.resize(static_cast<std::size_t>(most) + 1);
-  tape.norm.resize(static_cast<std::size_t>(most) + 1);
   tape.z[0].resize(size_of(rows, z_));
   times(encoder_out_, rows, work.data(), arch_.encoder_hidden, tape.z[0].data(), z_, bias(layout_.encoder_out_bias),
         false);
   if (arch_.pca_skip) times(project_, rows, block.shape.data(), n, tape.z[0].data(), z_, nullptr, true);
   normalise(rows, tape.z[0].data(), tape.norm[0]);
+}
 
-  // Prediction module. What the inputs contribute to each layer is independent of the state: one product for all
-  // segments.
+void Network::advance(const Block& block, Tape& tape) const {
+  const Index hidden = arch_.hidden, u = dim_.inputs(), total = block.total();
+  // What the inputs contribute to each layer is independent of the state: one product for all segments.
   const auto layers = layer_h_.size();
   tape.pre.resize(layers);
   tape.post.resize(layers);
@@ -157,8 +162,7 @@ void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma)
   } else {
     for (Index i = 0; i < total; ++i) std::copy_n(bias(layout_.out.b), z_, update.data() + size_of(i, z_));
   }
-  for (Index j = 0; j < most; ++j) {
-    const auto at = static_cast<std::size_t>(j);
+  for (std::size_t at = 0; at < tape.running.size(); ++at) {
     const Index m = tape.running[at];
     const std::size_t first = size_of(tape.offset[at], hidden);
     const std::size_t count = size_of(m, hidden);
@@ -181,8 +185,10 @@ void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma)
     if (arch_.differential_latent) add(next.data(), tape.z[at].data(), next.size());
     normalise(m, next.data(), tape.norm[at + 1]);
   }
+}
 
-  // Decoder.
+void Network::decode(const Block& block, Tape& tape, float* mean, float* sigma) const {
+  const Index n = dim_.coordinates(), rows = block.rows;
   const auto wanted = static_cast<Index>(block.wanted.size());
   const Index width = arch_.decoder_hidden;
   std::vector<float> z(size_of(wanted, z_));
@@ -232,23 +238,25 @@ void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma)
 
 void Network::pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma, float* d_inputs,
                        float* d_shape, float* d_change) const {
-  const Index n = dim_.coordinates(), rows = block.rows, hidden = arch_.hidden, u = dim_.inputs(),
-              total = block.total();
-  const auto most = static_cast<Index>(tape.running.size());
+  std::vector<std::vector<float>> dz(tape.z.size());
+  for (std::size_t j = 0; j < dz.size(); ++j) dz[j].assign(tape.z[j].size(), 0.0f);
+  if (d_shape != nullptr) std::fill_n(d_shape, size_of(block.rows, dim_.coordinates()), 0.0f);
+  decode_pullback(block, tape, d_mean, d_sigma, dz, d_shape);
+  advance_pullback(block, tape, dz, d_inputs, d_shape != nullptr);
+  if (d_shape != nullptr) encode_pullback(block, tape, dz[0].data(), d_shape, d_change);
+}
+
+void Network::decode_pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma,
+                              std::vector<std::vector<float>>& dz, float* d_shape) const {
+  const Index n = dim_.coordinates(), rows = block.rows;
   const auto wanted = static_cast<Index>(block.wanted.size());
   const Index width = arch_.decoder_hidden;
-  std::vector<std::vector<float>> dz(static_cast<std::size_t>(most) + 1);
-  for (std::size_t j = 0; j < dz.size(); ++j) dz[j].assign(tape.z[j].size(), 0.0f);
-  if (d_shape != nullptr) std::fill_n(d_shape, size_of(rows, n), 0.0f);
-
-  // Decoder.
-  std::vector<float> d_features(size_of(wanted, width), 0.0f),
-      d_start(arch_.differential_decoding ? size_of(rows, width) : 0, 0.0f);
-  std::vector<float> d_code(size_of(wanted, z_), 0.0f);
+  std::vector<float> d_features(size_of(wanted, width), 0.0f), d_code(size_of(wanted, z_), 0.0f);
   if (d_mean != nullptr) {
     times_transposed(mean_, wanted, d_mean, n, d_features.data(), width, false);
     if (arch_.pca_skip) times_transposed(expand_, wanted, d_mean, n, d_code.data(), z_, false);
-    if (arch_.differential_decoding) {
+    if (arch_.differential_decoding && d_shape != nullptr) {
+      std::vector<float> d_start(size_of(rows, width), 0.0f);
       for (Index w = 0; w < wanted; ++w) {
         const Index row = block.wanted[static_cast<std::size_t>(w)].row;
         for (Index i = 0; i < width; ++i)
@@ -256,7 +264,7 @@ void Network::pullback(const Block& block, const Tape& tape, const float* d_mean
               d_features[size_of(w, width) + static_cast<std::size_t>(i)];
         for (Index i = 0; i < z_; ++i)
           dz[0][size_of(row, z_) + static_cast<std::size_t>(i)] -= d_code[size_of(w, z_) + static_cast<std::size_t>(i)];
-        if (d_shape != nullptr) add(d_shape + size_of(row, n), d_mean + size_of(w, n), static_cast<std::size_t>(n));
+        add(d_shape + size_of(row, n), d_mean + size_of(w, n), static_cast<std::size_t>(n));
       }
       kernels_.activate_pullback(d_start.size(), tape.start_pre.data(), d_start.data(), tanh());
       times_transposed(decoder_in_, rows, d_start.data(), width, dz[0].data(), z_, true);
@@ -274,13 +282,15 @@ void Network::pullback(const Block& block, const Tape& tape, const float* d_mean
     add(dz[static_cast<std::size_t>(one.step)].data() + size_of(one.row, z_), d_code.data() + size_of(w, z_),
         static_cast<std::size_t>(z_));
   }
+}
 
-  // Prediction module, last segment first.
+void Network::advance_pullback(const Block& block, const Tape& tape, std::vector<std::vector<float>>& dz,
+                               float* d_inputs, bool to_start) const {
+  const Index hidden = arch_.hidden, u = dim_.inputs(), total = block.total();
   const auto layers = layer_h_.size();
   std::vector<std::vector<float>> d_pre(layers, std::vector<float>(size_of(total, hidden)));
   std::vector<float> d_update(size_of(total, z_));
-  for (Index j = most - 1; j >= 0; --j) {
-    const auto at = static_cast<std::size_t>(j);
+  for (std::size_t at = tape.running.size(); at-- > 0;) {
     const Index m = tape.running[at];
     const std::size_t first = size_of(tape.offset[at], hidden), count = size_of(m, hidden);
     float* g = dz[at + 1].data();
@@ -288,7 +298,8 @@ void Network::pullback(const Block& block, const Tape& tape, const float* d_mean
       normalise_derivative(g + size_of(r, z_), tape.z[at + 1].data() + size_of(r, z_),
                            tape.norm[at + 1][static_cast<std::size_t>(r)]);
     std::copy_n(g, size_of(m, z_), d_update.data() + size_of(tape.offset[at], z_));
-    if (arch_.differential_latent) add(dz[at].data(), g, size_of(m, z_));
+    const bool to_state = at > 0 || to_start;
+    if (arch_.differential_latent && to_state) add(dz[at].data(), g, size_of(m, z_));
     for (auto& d : d_pre) std::fill_n(d.data() + first, count, 0.0f);
     times_transposed(out_h_, m, g, z_, d_pre[layers - 1].data() + first, hidden, true);
     for (std::size_t l = layers; l-- > 0;) {
@@ -298,7 +309,7 @@ void Network::pullback(const Block& block, const Tape& tape, const float* d_mean
       kernels_.activate_pullback(count, tape.pre[l].data() + first, d, tanh());
       if (l > 0) {
         times_transposed(layer_h_[l], m, d, hidden, d_pre[l - 1].data() + first, hidden, true);
-      } else {
+      } else if (to_state) {
         times_transposed(layer_h_[0], m, d, hidden, dz[at].data(), z_, true);
       }
     }
@@ -308,10 +319,10 @@ void Network::pullback(const Block& block, const Tape& tape, const float* d_mean
     if (layout_.layers[l].u >= 0) times_transposed(layer_u_[l], total, d_pre[l].data(), hidden, d_inputs, u, true);
   }
   if (layout_.out.u >= 0) times_transposed(out_u_, total, d_update.data(), z_, d_inputs, u, true);
-  if (d_shape == nullptr) return;
+}
 
-  // Encoder.
-  float* g = dz[0].data();
+void Network::encode_pullback(const Block& block, const Tape& tape, float* g, float* d_shape, float* d_change) const {
+  const Index n = dim_.coordinates(), rows = block.rows;
   for (Index r = 0; r < rows; ++r)
     normalise_derivative(g + size_of(r, z_), tape.z[0].data() + size_of(r, z_),
                          tape.norm[0][static_cast<std::size_t>(r)]);
@@ -331,8 +342,8 @@ void Network::pullback(const Block& block, const Tape& tape, const float* d_mean
   times_transposed(project_, rows, d_velocity.data(), arch_.latent, d_change, n, false);
 }
 
-void Network::tangent(const Block& block, const Tape& tape, const std::vector<Index>& base, const float* d_inputs,
-                      float* d_mean, float* d_sigma) const {
+void Network::jvp(const Block& block, const Tape& tape, const std::vector<Index>& base, const float* d_inputs,
+                  float* d_mean, float* d_sigma) const {
   const Index n = dim_.coordinates(), hidden = arch_.hidden, u = dim_.inputs();
   const auto directions = static_cast<Index>(base.size());
   const auto most = static_cast<Index>(tape.running.size());

@@ -29,8 +29,8 @@ struct Block {
   Index total() const { return std::accumulate(steps.begin(), steps.end(), Index{0}); }
 };
 
-/// Prediction without a graph: the forward pass keeps a tape, and the pullback and the tangent map are written out by
-/// hand. Immutable and thread-safe. A row's results do not depend on the other rows.
+/// Prediction without a graph: the forward pass keeps a tape, and the pullback and the jvp are written out by hand.
+/// Immutable and thread-safe. A row's results do not depend on the other rows.
 class Network {
  public:
   explicit Network(const Model& model, const Kernels& kernels);
@@ -50,17 +50,32 @@ class Network {
   /// @param mean, sigma [wanted, coordinates], normalised; sigma may be null.
   void forward(const Block& block, Tape& tape, float* mean, float* sigma) const;
   /// @param d_mean, d_sigma [wanted, coordinates], either may be null.
-  /// @param d_inputs [total, inputs]; @param d_shape, d_change [rows, coordinates], overwritten; both null: not wanted.
+  /// @param d_inputs [total, inputs], overwritten.
+  /// @param d_shape, d_change [rows, coordinates], overwritten; both null: not computed, and the encoder is left out.
   void pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma, float* d_inputs,
                 float* d_shape, float* d_change) const;
-  /// Tangents of mean and sigma for directions in the inputs. Direction t belongs to row `rows[t]`, ascending.
+  /// Derivatives of mean and sigma along directions in the inputs. Direction t belongs to row `rows[t]`, ascending.
   /// @param d_inputs [sum of steps of the directions, inputs], segment by segment as Block::inputs.
   /// @param d_mean, d_sigma [directions' wanted shapes, coordinates]: for each direction in turn, the wanted shapes of
   /// its row in order; d_sigma may be null.
-  void tangent(const Block& block, const Tape& tape, const std::vector<Index>& rows, const float* d_inputs,
-               float* d_mean, float* d_sigma) const;
+  void jvp(const Block& block, const Tape& tape, const std::vector<Index>& rows, const float* d_inputs, float* d_mean,
+           float* d_sigma) const;
 
  private:
+  // forward(), in three steps: shapes to latent states, segment by segment, latent states to the wanted shapes.
+  void encode(const Block& block, Tape& tape) const;
+  void advance(const Block& block, Tape& tape) const;
+  void decode(const Block& block, Tape& tape, float* mean, float* sigma) const;
+  // Their pullbacks. dz: cotangents of tape.z, of which [0] is that of the encoder's output.
+  /// Adds to dz and d_shape; without d_shape what reaches the encoder is left out.
+  void decode_pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma,
+                       std::vector<std::vector<float>>& dz, float* d_shape) const;
+  /// @param to_start whether dz[0] is wanted.
+  void advance_pullback(const Block& block, const Tape& tape, std::vector<std::vector<float>>& dz, float* d_inputs,
+                        bool to_start) const;
+  /// @param g dz[0]; overwritten. Adds to d_shape, overwrites d_change.
+  void encode_pullback(const Block& block, const Tape& tape, float* g, float* d_shape, float* d_change) const;
+
   /// A matrix, packed for products from the right with itself and with its transpose.
   struct Packed {
     Index k = 0, n = 0;
@@ -80,7 +95,7 @@ class Network {
   /// First column and number of columns that the normalisation acts on.
   Index norm_begin() const { return norm_all_ ? 0 : arch_.latent; }
   void normalise(Index rows, float* z, std::vector<float>& factor) const;
-  /// g <- s (g - b (b . g)), b the normalised state: the pullback and, being symmetric, also the tangent map.
+  /// g <- s (g - b (b . g)), b the normalised state: the pullback and, being symmetric, also the jvp.
   void normalise_derivative(float* g, const float* b, float factor) const;
   Index skip_of(Index layer) const;  ///< layer whose output is added; -1: none
   bool tanh() const { return arch_.activation == "tanh"; }

@@ -60,16 +60,19 @@ class RolloutPredictor::Lease {
 };
 
 /// Owns the unperturbed runs; pullback() simulates the perturbed ones.
-class RolloutPrediction final : public Prediction {
+class RolloutPrediction final : public PlainPrediction {
  public:
   using Run = RolloutPredictor::Run;
   using Lease = RolloutPredictor::Lease;
 
   RolloutPrediction(const RolloutPredictor& owner, const std::vector<PredictionCase>& cases,
                     const PredictionRequest& request)
-      : owner_(owner), cases_(cases), request_(request), samples_(static_cast<std::size_t>(owner.params_.samples)) {
+      : PlainPrediction(cases.size()),
+        owner_(owner),
+        cases_(cases),
+        request_(request),
+        samples_(static_cast<std::size_t>(owner.params_.samples)) {
     runs_.resize(cases_.size() * samples_);
-    failures_.resize(cases_.size());
     std::vector<std::string> errors(runs_.size());
     owner_.host_.parallel_for(static_cast<std::int64_t>(runs_.size()), [&](std::int64_t job) {
       const auto at = static_cast<std::size_t>(job);
@@ -79,7 +82,6 @@ class RolloutPrediction final : public Prediction {
         errors[at] = error.what();
       }
     });
-    shapes_.resize(cases_.size());
     early_.resize(cases_.size());
     for (std::size_t i = 0; i < cases_.size(); ++i) {
       for (std::size_t s = 0; s < samples_; ++s) {
@@ -96,9 +98,6 @@ class RolloutPrediction final : public Prediction {
     }
   }
 
-  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
-  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
-
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
     if (!request_.gradients) throw Unsupported("rollout: pullback needs a prediction made with gradients");
     require_shape("rollout: cotangent cases", static_cast<Index>(cotangents.size()), static_cast<Index>(cases_.size()));
@@ -112,8 +111,6 @@ class RolloutPrediction final : public Prediction {
     for (std::size_t i = 0; i < cases_.size(); ++i) {
       const auto& one = cases_[i];
       gradients[i].controls = Controls::Zero(one.controls.rows(), one.controls.cols());
-      gradients[i].state.resize(0);
-      gradients[i].shape.resize(0, 3);
       require_shape("rollout: cotangents of a case", static_cast<Index>(cotangents[i].size()),
                     static_cast<Index>(one.segments.size()));
       Index last = 0;
@@ -168,8 +165,8 @@ class RolloutPrediction final : public Prediction {
     }
     owner_.host_.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
       const auto [i, d] = jobs[static_cast<std::size_t>(j)];
-      result[i][d] = failures_[i].empty() ? directional_derivative(i, directions[i][d])
-                                          : std::vector<ShapeCotangent>(cases_[i].segments.size());
+      result[i][d] =
+          failures_[i].empty() ? jvp(i, directions[i][d]) : std::vector<ShapeCotangent>(cases_[i].segments.size());
     });
     return result;
   }
@@ -183,7 +180,7 @@ class RolloutPrediction final : public Prediction {
 
   /// Change of every requested shape along a direction, by differences whose step moves no control by more than `step`
   /// scales and no knowledge by more than `knowledge_step`.
-  std::vector<ShapeCotangent> directional_derivative(std::size_t i, const CaseDirection& direction) const {
+  std::vector<ShapeCotangent> jvp(std::size_t i, const CaseDirection& direction) const {
     const auto& one = cases_[i];
     const auto variables = owner_.task_.trajectory->controls();
     const Index active = active_segments(i, one.segments.empty() ? 0 : one.segments.back());
@@ -294,7 +291,7 @@ class RolloutPrediction final : public Prediction {
     const auto& trajectory = *owner_.task_.trajectory;
     run.material = owner_.material(one.knowledge, sample);
     const Index u = trajectory.release_segment(owner_.task_.manipulation, one.state, one.controls);
-    const Controls states = trajectory.segment_states(owner_.task_.manipulation, one.state, one.controls);
+    const RowMatrix states = trajectory.segment_states(owner_.task_.manipulation, one.state, one.controls);
     run.release = trajectory.released(states.row(u - 1).transpose()) ? u : 0;
     const Lease lease(owner_);
     owner_.start(*lease, one, run.material);
@@ -417,10 +414,8 @@ class RolloutPrediction final : public Prediction {
   std::vector<PredictionCase> cases_;
   PredictionRequest request_;
   std::size_t samples_;
-  std::vector<Run> runs_;  // [cases * samples]
-  std::vector<std::vector<ShapeDistribution>> shapes_;
+  std::vector<Run> runs_;                              // [cases * samples]
   std::vector<std::vector<ShapeDistribution>> early_;  // what differences are taken from
-  std::vector<std::string> failures_;
 };
 
 RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
@@ -430,7 +425,6 @@ PredictorCapabilities RolloutPredictor::capabilities() const {
 }
 
 void RolloutPredictor::bind(const Task& task) {
-  task_ = task;
   simulator_slot_ = params_.simulator.is_null() ? task.simulator : params_.simulator;
   if (simulator_slot_.is_null()) throw ConfigError("rollout: neither its params nor the task names a simulator");
   {
@@ -439,7 +433,7 @@ void RolloutPredictor::bind(const Task& task) {
   }
   const Lease first(*this);  // a wrong simulator shows here and not in the first plan
   has_snapshots_ = (*first).capabilities().snapshots;
-  bound_ = true;
+  task_ = task;
 }
 
 MaterialProperties RolloutPredictor::material(const MaterialKnowledge& knowledge, Index sample) const {
@@ -460,31 +454,9 @@ void RolloutPredictor::start(Simulator& simulator, const PredictionCase& one,
   simulator.set_state(*one.shape, velocities, held);
 }
 
-void RolloutPredictor::check(const PredictionCase& one, std::size_t i) const {
-  const std::string where = "rollout: case " + std::to_string(i) + ": ";
-  const auto& trajectory = *task_.trajectory;
-  if (!one.shape) throw ShapeError(where + "has no shape");
-  require_shape(where + "shape rows", one.shape->rows(), task_.garment->vertex_count());
-  if (one.previous) require_shape(where + "previous rows", one.previous->rows(), task_.garment->vertex_count());
-  require_shape(where + "state", one.state.size(), static_cast<Index>(trajectory.state().size()));
-  require_shape(where + "control columns", one.controls.cols(), static_cast<Index>(trajectory.controls().size()));
-  Index before = 0;
-  for (const Index segment : one.segments) {
-    if (segment <= before || segment > one.controls.rows()) {
-      throw ShapeError(where + "segments must ascend within [1, " + std::to_string(one.controls.rows()) + "], got " +
-                       std::to_string(segment));
-    }
-    before = segment;
-  }
-  const bool finite = one.shape->allFinite() && (!one.previous || one.previous->allFinite()) && one.state.allFinite() &&
-                      one.controls.allFinite() && one.knowledge.centre.allFinite() && one.knowledge.width.allFinite();
-  if (!finite) throw Error(where + "holds a number that is not finite");
-}
-
 std::unique_ptr<Prediction> RolloutPredictor::predict(const std::vector<PredictionCase>& cases,
                                                       const PredictionRequest& request) const {
-  if (!bound_) throw Error("rollout: predict() before bind()");
-  for (std::size_t i = 0; i < cases.size(); ++i) check(cases[i], i);
+  check_cases("rollout", task_, cases);
   return std::make_unique<RolloutPrediction>(*this, cases, request);
 }
 

@@ -60,12 +60,10 @@ class RolloutPredictor final : public Predictor {
   MaterialProperties material(const MaterialKnowledge& knowledge, Index sample) const;
   /// Puts a simulator at the start of the case, holding the grasp vertices.
   void start(Simulator& simulator, const PredictionCase& one, const MaterialProperties& material) const;
-  void check(const PredictionCase& one, std::size_t i) const;
 
   Params params_;
   Host& host_;
-  bool bound_ = false;
-  Task task_;
+  Task task_;  ///< empty before bind()
   ConfigNode simulator_slot_;
   bool has_snapshots_ = false;
   mutable std::mutex pool_mutex_;

@@ -88,11 +88,11 @@ struct Group {
   Output output;
 };
 
-class TorchPrediction final : public Prediction {
+class TorchPrediction final : public PlainPrediction {
  public:
   TorchPrediction(std::shared_ptr<const TorchScriptPredictor::Bound> bound, const std::vector<PredictionCase>& cases,
                   const PredictionRequest& request, bool batch)
-      : bound_(std::move(bound)), request_(request), shapes_(cases.size()), failures_(cases.size()) {
+      : PlainPrediction(cases.size()), bound_(std::move(bound)), request_(request) {
     std::map<std::pair<Index, std::size_t>, Group> groups;
     for (std::size_t i = 0; i < cases.size(); ++i) {
       controls_.push_back(cases[i].controls);
@@ -113,9 +113,6 @@ class TorchPrediction final : public Prediction {
     }
   }
 
-  const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
-  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
-
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
     if (!request_.gradients) throw Unsupported("torchscript: pullback needs a prediction made with gradients");
     require_shape("torchscript: cotangent cases", static_cast<Index>(cotangents.size()),
@@ -125,7 +122,7 @@ class TorchPrediction final : public Prediction {
     for (std::size_t i = 0; i < gradients.size(); ++i) {
       gradients[i].controls = Controls::Zero(controls_[i].rows(), controls_[i].cols());
       gradients[i].state = Vector::Zero(start_[i].size());
-      gradients[i].shape = Positions::Zero(v, 3);
+      if (request_.shape_gradients) gradients[i].shape = Positions::Zero(v, 3);
       require_shape("torchscript: cotangents of a case", static_cast<Index>(cotangents[i].size()),
                     static_cast<Index>(segments_[i].size()));
       for (const auto& c : cotangents[i]) {
@@ -133,15 +130,19 @@ class TorchPrediction final : public Prediction {
           if (p->rows() > 0) require_shape("torchscript: cotangent rows", p->rows(), v);
       }
     }
-    for (const auto& group : groups_) pull(group, cotangents, gradients);
+    for (const auto& group : groups_) pullback(group, cotangents, gradients);
     for (auto& g : gradients) {
       if (!request_.control_gradients) g.controls.setZero();
       if (!request_.knowledge_gradients) g.centre = g.width = PropertyVector::Zero();
+      if (!request_.state_gradients) g.state.resize(0);
     }
     return gradients;
   }
 
  private:
+  /// Of Group::inputs: the start shape and the one before it.
+  static bool is_shape(std::size_t input) { return input == 0 || input == 4; }
+
   void run(const std::vector<PredictionCase>& cases, Group& group, Index k) {
     const auto& task = bound_->task;
     const auto b = static_cast<std::int64_t>(group.rows);
@@ -164,7 +165,7 @@ class TorchPrediction final : public Prediction {
       fill(shape, r, one.shape->data(), one.shape->size());
       fill(previous, r, (one.previous ? one.previous : one.shape)->data(), one.shape->size());
       const Controls used = one.controls.topRows(k);
-      Controls all(k + 1, s);
+      RowMatrix all(k + 1, s);
       all.row(0) = one.state.transpose();
       all.bottomRows(k) = task.trajectory->segment_states(task.manipulation, one.state, used);
       fill(states, r, all.data(), all.size());
@@ -177,8 +178,9 @@ class TorchPrediction final : public Prediction {
     if (bound_->metadata.previous) group.inputs.push_back(previous);
     {
       const at::AutoGradMode graph(request_.gradients);
-      if (request_.gradients) {
-        for (auto& t : group.inputs) t.set_requires_grad(true);
+      for (std::size_t input = 0; input < group.inputs.size(); ++input) {
+        if (request_.gradients && (!is_shape(input) || request_.shape_gradients))
+          group.inputs[input].set_requires_grad(true);
       }
       group.output = call(*bound_, group.inputs);
     }
@@ -206,8 +208,8 @@ class TorchPrediction final : public Prediction {
     if (!request_.gradients) group = {};
   }
 
-  void pull(const Group& group, const std::vector<std::vector<ShapeCotangent>>& cotangents,
-            std::vector<CaseGradient>& gradients) const {
+  void pullback(const Group& group, const std::vector<std::vector<ShapeCotangent>>& cotangents,
+                std::vector<CaseGradient>& gradients) const {
     const auto& task = bound_->task;
     const auto& trajectory = *task.trajectory;
     Tensor d_mean = at::zeros_like(group.output.mean.detach()), d_sigma = at::zeros_like(d_mean);
@@ -231,14 +233,19 @@ class TorchPrediction final : public Prediction {
       seeds.push_back(seed);
     }
     if (outputs.empty()) return;
-    const auto grads =
-        torch::autograd::grad(outputs, group.inputs, seeds, /*retain_graph=*/true, /*create_graph=*/false,
-                              /*allow_unused=*/true);
+    std::vector<Tensor> inputs;
+    for (const auto& t : group.inputs)
+      if (t.requires_grad()) inputs.push_back(t);
+    const auto grads = torch::autograd::grad(outputs, inputs, seeds, /*retain_graph=*/true, /*create_graph=*/false,
+                                             /*allow_unused=*/true);
+    std::vector<Tensor> of_input(group.inputs.size());  // undefined: not asked for, or it moves nothing
+    for (std::size_t input = 0, next = 0; input < of_input.size(); ++input)
+      if (group.inputs[input].requires_grad()) of_input[input] = grads[next++];
     const auto row = [&](std::size_t input, std::size_t r) -> std::vector<double> {
-      if (input >= grads.size()) return {};
-      if (!grads[input].defined())
+      if (input >= of_input.size() || !group.inputs[input].requires_grad()) return {};
+      if (!of_input[input].defined())
         return std::vector<double>(static_cast<std::size_t>(group.inputs[input][0].numel()), 0.0);
-      const Tensor t = grads[input][static_cast<std::int64_t>(r)].to(at::kDouble).contiguous();
+      const Tensor t = of_input[input][static_cast<std::int64_t>(r)].to(at::kDouble).contiguous();
       return {t.data_ptr<double>(), t.data_ptr<double>() + t.numel()};
     };
     for (const std::size_t i : group.cases) {
@@ -258,22 +265,12 @@ class TorchPrediction final : public Prediction {
       }
       // Controls act directly and through the states after every segment.
       const Index s = g.state.size(), c = g.controls.cols();
-      const Controls states = trajectory.segment_states(task.manipulation, start_[i], controls_[i].topRows(k));
-      Vector carried = Vector::Zero(s), d_state, d_control;
-      for (Index j = k - 1; j >= 0; --j) {
-        carried += Eigen::Map<const Vector>(d_states.data() + (j + 1) * s, s);
-        const Vector control = controls_[i].row(j).transpose();
-        std::vector<Vector> frames{j == 0 ? start_[i] : Vector(states.row(j - 1).transpose())};
-        for (Index f = 1; f < kFramesPerSegment; ++f)
-          frames.push_back(trajectory.advance(task.manipulation, frames.back(), control));
-        for (std::size_t f = frames.size(); f-- > 0;) {
-          trajectory.advance_pullback(task.manipulation, frames[f], control, carried, d_state, d_control);
-          g.controls.row(j) += d_control.transpose();
-          carried = d_state;
-        }
-        g.controls.row(j) += Eigen::Map<const Vector>(d_controls.data() + j * c, c).transpose();
-      }
-      g.state = carried + Eigen::Map<const Vector>(d_states.data(), s);
+      const auto add = [&](Index j, Vector& d_state) {
+        d_state += Eigen::Map<const Vector>(d_states.data() + (j + 1) * s, s);
+      };
+      g.state = trajectory.pullback_states(task.manipulation, start_[i], controls_[i].topRows(k), add, g.controls) +
+                Eigen::Map<const Vector>(d_states.data(), s);
+      g.controls.topRows(k) += Eigen::Map<const Controls>(d_controls.data(), k, c);
     }
   }
 
@@ -284,35 +281,12 @@ class TorchPrediction final : public Prediction {
   std::vector<bool> has_previous_;
   std::vector<std::vector<Index>> segments_;
   std::vector<Group> groups_;
-  std::vector<std::vector<ShapeDistribution>> shapes_;
-  std::vector<std::string> failures_;
 };
 
-}  // namespace
-
-TorchScriptPredictor::TorchScriptPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
-TorchScriptPredictor::~TorchScriptPredictor() = default;
-
-PredictorCapabilities TorchScriptPredictor::capabilities() const {
-  return {.gradients = true,
-          .state_gradients = true,
-          .shape_gradients = true,
-          .deterministic = !params_.batch,
-          .needs_binding = true};
-}
-
-void TorchScriptPredictor::bind(const Task& task) {
-  if (params_.module.empty()) throw ConfigError("torchscript: needs predictor.params.module, a file of torch.jit.save");
-  auto bound = std::make_shared<Bound>();
-  bound->task = task;
-  bound->name = params_.module.string();
-  auto metadata_file = params_.metadata;
-  if (metadata_file.empty()) metadata_file = std::filesystem::path(params_.module).replace_extension(".yaml");
-  auto& m = bound->metadata;
-  read_params(ConfigNode::load(metadata_file), m);
-
+/// @throws ConfigError when the module was made for another garment, trajectory or manipulation than the task's.
+void require_task(const Metadata& m, const std::string& file, const Task& task) {
   const auto refuse = [&](const std::string& what, const std::string& given, const std::string& wanted) {
-    throw ConfigError(metadata_file.string() + ": " + what + " = " + given + ", the task has " + wanted);
+    throw ConfigError(file + ": " + what + " = " + given + ", the task has " + wanted);
   };
   const auto names = [](const std::vector<Variable>& variables) {
     std::vector<std::string> all;
@@ -357,45 +331,31 @@ void TorchScriptPredictor::bind(const Task& task) {
     const auto& v = variables[c];
     const double low = m.control_low[c], high = m.control_high[c];
     if (low > high) {
-      throw ConfigError(metadata_file.string() + ": control_low of " + v.name + " = " + number(low) +
+      throw ConfigError(file + ": control_low of " + v.name + " = " + number(low) +
                         ", above control_high = " + number(high));
     }
     if (low > v.upper || high < v.lower)
       refuse("range of " + v.name, numbers({low, high}), numbers({v.lower, v.upper}) + ", apart from it");
   }
-  if (m.material.is_null()) {
-    host_.log(LogLevel::warning, metadata_file.string() +
-                                     ": has no material, so that nothing says for which fabrics "
-                                     "the module's properties in [0, 1] stand");
-  } else if (const auto trained = write_material_space(read_material_space(m.material)).to_yaml();
-             trained != write_material_space(task.material).to_yaml()) {
-    const std::string text = metadata_file.string() +
-                             ": material is another space than the task's: the module's properties in [0, 1] stand for "
-                             "other fabrics";
-    if (params_.other_fabric != "warn")
-      throw ConfigError(text + " (predictor.params.other_fabric: warn uses it all the same)");
-    host_.log(LogLevel::warning, text);
-  }
-  const auto normalisation = [](const std::vector<double>& mean, const std::vector<double>& sd) {
-    return sd.empty() ? Normalisation{} : Normalisation{at::tensor(mean, at::kFloat), at::tensor(sd, at::kFloat)};
-  };
-  bound->control = normalisation(m.control_mean, m.control_sd);
-  bound->state = normalisation(m.state_mean, m.state_sd);
+}
 
-  at::set_num_threads(params_.threads > 0 ? static_cast<int>(params_.threads) : std::max(1, host_.threads()));
+/// Reads bound.name into bound.module, for inference.
+/// @throws ConfigError when it is no such file, or forward() does not take and return what it must.
+void load_module(TorchScriptPredictor::Bound& bound) {
   try {
-    bound->module = torch::jit::load(params_.module.string(), at::kCPU);
-    bound->module.eval();
-    for (const auto& parameter : bound->module.parameters()) parameter.set_requires_grad(false);
+    bound.module = torch::jit::load(bound.name, at::kCPU);
+    bound.module.eval();
+    for (const auto& parameter : bound.module.parameters()) parameter.set_requires_grad(false);
   } catch (const std::exception& error) {  // libtorch reports damaged files in many ways
     const std::string text = error.what();
-    throw ConfigError(bound->name + ": is no TorchScript file, or is damaged: " + text.substr(0, 300));
+    throw ConfigError(bound.name + ": is no TorchScript file, or is damaged: " + text.substr(0, 300));
   }
-  const auto method = bound->module.find_method("forward");
+  const auto& m = bound.metadata;
+  const auto method = bound.module.find_method("forward");
   const std::size_t wanted = m.previous ? 5 : 4;
-  if (!method) throw ConfigError(bound->name + ": has no forward()");
+  if (!method) throw ConfigError(bound.name + ": has no forward()");
   if (const std::size_t given = method->function().getSchema().arguments().size() - 1; given != wanted) {
-    throw ConfigError(bound->name + ": forward() takes " + std::to_string(given) + " arguments, must take " +
+    throw ConfigError(bound.name + ": forward() takes " + std::to_string(given) + " arguments, must take " +
                       std::to_string(wanted) + ": shape, states, controls, knowledge" +
                       (m.previous ? ", previous" : ""));
   }
@@ -403,18 +363,68 @@ void TorchScriptPredictor::bind(const Task& task) {
   const auto zeros = [](std::vector<std::int64_t> sizes) {
     return at::zeros(sizes, at::TensorOptions().dtype(at::kFloat));
   };
-  const auto v = task.garment->vertex_count(), s = static_cast<Index>(m.states.size()),
+  const auto v = bound.task.garment->vertex_count(), s = static_cast<Index>(m.states.size()),
              c = static_cast<Index>(m.controls.size());
   const Index k = std::min<Index>(2, m.max_segments);
   std::vector<Tensor> inputs = {zeros({2, v, 3}), zeros({2, k + 1, s}), zeros({2, k, c}), zeros({2, 8})};
   if (m.previous) inputs.push_back(zeros({2, v, 3}));
   try {
     const at::NoGradGuard no_graph;
-    call(*bound, inputs);
+    call(bound, inputs);
   } catch (const Error& error) {
     throw ConfigError(error.what());
   }
+}
+
+}  // namespace
+
+TorchScriptPredictor::TorchScriptPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
+TorchScriptPredictor::~TorchScriptPredictor() = default;
+
+PredictorCapabilities TorchScriptPredictor::capabilities() const {
+  return {.gradients = true,
+          .state_gradients = true,
+          .shape_gradients = true,
+          .deterministic = !params_.batch,
+          .needs_binding = true};
+}
+
+void TorchScriptPredictor::bind(const Task& task) {
+  if (params_.module.empty()) throw ConfigError("torchscript: needs predictor.params.module, a file of torch.jit.save");
+  auto bound = std::make_shared<Bound>();
+  bound->task = task;
+  bound->name = params_.module.string();
+  auto metadata_file = params_.metadata;
+  if (metadata_file.empty()) metadata_file = std::filesystem::path(params_.module).replace_extension(".yaml");
+  auto& m = bound->metadata;
+  read_params(ConfigNode::load(metadata_file), m);
+  require_task(m, metadata_file.string(), task);
+  check_material(m, metadata_file.string(), task);
+  const auto normalisation = [](const std::vector<double>& mean, const std::vector<double>& sd) {
+    return sd.empty() ? Normalisation{} : Normalisation{at::tensor(mean, at::kFloat), at::tensor(sd, at::kFloat)};
+  };
+  bound->control = normalisation(m.control_mean, m.control_sd);
+  bound->state = normalisation(m.state_mean, m.state_sd);
+  at::set_num_threads(params_.threads > 0 ? static_cast<int>(params_.threads) : std::max(1, host_.threads()));
+  load_module(*bound);
   bound_ = std::move(bound);
+}
+
+void TorchScriptPredictor::check_material(const Metadata& m, const std::string& file, const Task& task) const {
+  if (m.material.is_null()) {
+    host_.log(LogLevel::warning, file +
+                                     ": has no material, so that nothing says for which fabrics "
+                                     "the module's properties in [0, 1] stand");
+    return;
+  }
+  if (write_material_space(read_material_space(m.material)).to_yaml() == write_material_space(task.material).to_yaml())
+    return;
+  const std::string text = file +
+                           ": material is another space than the task's: the module's properties in [0, 1] stand for "
+                           "other fabrics";
+  if (params_.other_fabric != "warn")
+    throw ConfigError(text + " (predictor.params.other_fabric: warn uses it all the same)");
+  host_.log(LogLevel::warning, text);
 }
 
 const TorchScriptPredictor::Bound& TorchScriptPredictor::require_bound(const char* call) const {
@@ -436,33 +446,8 @@ std::optional<Index> TorchScriptPredictor::max_segments() const {
 
 std::unique_ptr<Prediction> TorchScriptPredictor::predict(const std::vector<PredictionCase>& cases,
                                                           const PredictionRequest& request) const {
-  const auto& m = require_bound("predict").metadata;
-  for (std::size_t i = 0; i < cases.size(); ++i) {
-    const auto& one = cases[i];
-    const std::string where = "torchscript: case " + std::to_string(i) + ": ";
-    const Index v = bound_->task.garment->vertex_count();
-    if (!one.shape) throw ShapeError(where + "has no shape");
-    require_shape(where + "shape rows", one.shape->rows(), v);
-    if (one.previous) require_shape(where + "previous rows", one.previous->rows(), v);
-    require_shape(where + "state", one.state.size(), static_cast<Index>(m.states.size()));
-    require_shape(where + "control columns", one.controls.cols(), static_cast<Index>(m.controls.size()));
-    if (one.controls.rows() > m.max_segments) {
-      throw ShapeError(where + std::to_string(one.controls.rows()) + " segments, the module takes " +
-                       std::to_string(m.max_segments));
-    }
-    Index before = 0;
-    for (const Index segment : one.segments) {
-      if (segment <= before || segment > one.controls.rows()) {
-        throw ShapeError(where + "segments must ascend within [1, " + std::to_string(one.controls.rows()) + "], got " +
-                         std::to_string(segment));
-      }
-      before = segment;
-    }
-    if (!one.shape->allFinite() || (one.previous && !one.previous->allFinite()) || !one.state.allFinite() ||
-        !one.controls.allFinite() || !one.knowledge.centre.allFinite() || !one.knowledge.width.allFinite()) {
-      throw Error(where + "holds a number that is not finite");
-    }
-  }
+  const auto& bound = require_bound("predict");
+  check_cases("torchscript", bound.task, cases, bound.metadata.max_segments);
   return std::make_unique<TorchPrediction>(bound_, cases, request, params_.batch);
 }
 

@@ -82,6 +82,8 @@ class TorchScriptPredictor final : public Predictor {
 
  private:
   const Bound& require_bound(const char* call) const;
+  /// @throws ConfigError, or warns, when the module's material space is not known to be the task's.
+  void check_material(const Metadata& metadata, const std::string& file, const Task& task) const;
   Params params_;
   Host& host_;
   std::shared_ptr<const Bound> bound_;

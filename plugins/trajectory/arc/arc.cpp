@@ -149,46 +149,4 @@ double Arc::progress(ConstVec state) const {
   return state[kTheta] / 180.0;
 }
 
-Index Arc::decision_size(Index horizon) const {
-  if (horizon < 0) throw ShapeError("arc: horizon = " + std::to_string(horizon) + ", must be >= 0");
-  return kSize * horizon;
-}
-
-Controls Arc::decode(ConstVec x, Index horizon, ConstVec state) const {
-  require_shape("arc: x", x.size(), decision_size(horizon));
-  require_shape("arc: state", state.size(), kSize);
-  return Eigen::Map<const Controls>(x.data(), horizon, kSize);
-}
-
-Vector Arc::decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const {
-  require_shape("arc: x", x.size(), decision_size(horizon));
-  require_shape("arc: state", state.size(), kSize);
-  require_shape("arc: d_controls rows", d_controls.rows(), horizon);
-  require_shape("arc: d_controls columns", d_controls.cols(), kSize);
-  return Eigen::Map<const Vector>(d_controls.data(), d_controls.size());
-}
-
-Vector Arc::encode(const Controls& controls, ConstVec state) const {
-  require_shape("arc: controls columns", controls.cols(), kSize);
-  require_shape("arc: state", state.size(), kSize);
-  return Eigen::Map<const Vector>(controls.data(), controls.size());
-}
-
-Box Arc::decision_bounds(Index horizon) const {
-  Box box{Vector(decision_size(horizon)), Vector(decision_size(horizon))};
-  const auto variables = controls();
-  for (Index i = 0; i < box.lower.size(); ++i) {
-    box.lower[i] = variables[static_cast<std::size_t>(i % kSize)].lower;
-    box.upper[i] = variables[static_cast<std::size_t>(i % kSize)].upper;
-  }
-  return box;
-}
-
-Vector Arc::decision_scale(Index horizon) const {
-  Vector scale(decision_size(horizon));
-  const auto variables = controls();
-  for (Index i = 0; i < scale.size(); ++i) scale[i] = variables[static_cast<std::size_t>(i % kSize)].scale;
-  return scale;
-}
-
 }  // namespace weft::arc

@@ -60,12 +60,6 @@ class Arc final : public Trajectory {
                         Vector& d_state, Vector& d_control) const override;
   Vector targets_pullback(const Manipulation& manipulation, ConstVec state, const Positions& d_targets) const override;
   double progress(ConstVec state) const override;
-  Index decision_size(Index horizon) const override;
-  Controls decode(ConstVec x, Index horizon, ConstVec state) const override;
-  Vector decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const override;
-  Vector encode(const Controls& controls, ConstVec state) const override;
-  Box decision_bounds(Index horizon) const override;
-  Vector decision_scale(Index horizon) const override;
 
  private:
   Params p_;

@@ -73,6 +73,11 @@ double Spline::parameter_of_progress(double progress, double first) const {
   return static_cast<double>(points_ - 3) * std::clamp((progress - first) / left, 0.0, 1.0);
 }
 
+double Spline::parameter(Index j, Index horizon, double progress, double first) const {
+  if (by_progress_) return parameter_of_progress(progress, first);
+  return static_cast<double>((points_ - 3) * j) / static_cast<double>(std::max<Index>(1, horizon - 1));
+}
+
 Index Spline::decision_size(Index horizon) const {
   if (horizon < 0) throw ShapeError("spline: horizon = " + std::to_string(horizon) + ", must be >= 0");
   return points_ * columns_;
@@ -85,10 +90,7 @@ Controls Spline::decode(ConstVec x, Index horizon, ConstVec state) const {
   const double first = geometry_->progress(state);
   Vector current = state;
   for (Index j = 0; j < horizon; ++j) {
-    const double t =
-        by_progress_ ? parameter_of_progress(geometry_->progress(current), first)
-                     : static_cast<double>((points_ - 3) * j) / static_cast<double>(std::max<Index>(1, horizon - 1));
-    const Place p = place(t);
+    const Place p = place(parameter(j, horizon, geometry_->progress(current), first));
     result.row(j).setZero();
     for (Index i = 0; i < 4; ++i) result.row(j) += p.weight[i] * points.row(p.first + i);
     if (by_progress_ && j + 1 < horizon) current = after(current, result.row(j).transpose());
@@ -103,44 +105,31 @@ Vector Spline::decode_pullback(ConstVec x, Index horizon, ConstVec state, const 
   const Eigen::Map<const Controls> points(x.data(), points_, columns_);
   static const Manipulation none;
   const Controls controls = decode(x, horizon, state);
+  const Controls states = geometry_->segment_states(none, state, controls);
   const double first = geometry_->progress(state), left = 1.0 - first;
+  const auto progress_before = [&](Index j) {
+    return j == 0 ? first : geometry_->progress(states.row(j - 1).transpose());
+  };
 
-  // States before every frame.
-  std::vector<Vector> states;
-  if (by_progress_) {
-    states.push_back(state);
-    for (Index j = 0; j + 1 < horizon; ++j)
-      for (Index frame = 0; frame < kFramesPerSegment; ++frame)
-        states.push_back(geometry_->advance(none, states.back(), controls.row(j).transpose()));
-  }
+  // dL/d controls of a segment, by themselves and through the places of the later ones.
+  Controls d_rows = d_controls;
+  const auto add_place = [&](Index j, Vector& d_state) {
+    const Index next = j + 1;
+    if (next == horizon || left < kLeastProgressLeft) return;
+    const double progress = progress_before(next);
+    if (progress <= first || progress >= 1.0) return;  // beyond release nothing depends on the progress
+    const Place p = place(parameter(next, horizon, progress, first));
+    const Vector d_row = d_rows.row(next).transpose();
+    double d_t = 0.0;
+    for (Index i = 0; i < 4; ++i) d_t += p.slope[i] * points.row(p.first + i).dot(d_row.transpose());
+    d_state += d_t * static_cast<double>(points_ - 3) / left * progress_gradient(*geometry_, states.row(j).transpose());
+  };
+  if (by_progress_) geometry_->pullback_states(none, state, controls, add_place, d_rows);
+
   Controls gradient = Controls::Zero(points_, columns_);
-  Vector d_next = Vector::Zero(state.size());  // dL/d state after segment j
-  Vector d_state, d_control;
   for (Index j = horizon - 1; j >= 0; --j) {
-    Vector d_row = d_controls.row(j).transpose();
-    if (by_progress_ && j + 1 < horizon) {
-      for (Index frame = kFramesPerSegment - 1; frame >= 0; --frame) {
-        const Vector& before = states[static_cast<std::size_t>(j * kFramesPerSegment + frame)];
-        geometry_->advance_pullback(none, before, controls.row(j).transpose(), d_next, d_state, d_control);
-        d_row += d_control;
-        d_next = d_state;
-      }
-    }
-    double t = static_cast<double>((points_ - 3) * j) / static_cast<double>(std::max<Index>(1, horizon - 1));
-    double progress = first;
-    if (by_progress_) {
-      progress = geometry_->progress(states[static_cast<std::size_t>(j * kFramesPerSegment)]);
-      t = parameter_of_progress(progress, first);
-    }
-    const Place p = place(t);
-    for (Index i = 0; i < 4; ++i) gradient.row(p.first + i) += p.weight[i] * d_row.transpose();
-    // The start of the first segment does not depend on x; beyond release nothing depends on the progress.
-    if (by_progress_ && j > 0 && left >= kLeastProgressLeft && progress > first && progress < 1.0) {
-      double d_t = 0.0;
-      for (Index i = 0; i < 4; ++i) d_t += p.slope[i] * points.row(p.first + i).dot(d_row.transpose());
-      const Vector& start = states[static_cast<std::size_t>(j * kFramesPerSegment)];
-      d_next += d_t * static_cast<double>(points_ - 3) / left * progress_gradient(*geometry_, start);
-    }
+    const Place p = place(parameter(j, horizon, progress_before(j), first));
+    for (Index i = 0; i < 4; ++i) gradient.row(p.first + i) += p.weight[i] * d_rows.row(j);
   }
   return Eigen::Map<const Vector>(gradient.data(), gradient.size());
 }
@@ -154,11 +143,8 @@ Vector Spline::encode(const Controls& controls, ConstVec state) const {
   Vector current = state;
   for (Index j = 0; j < horizon; ++j) {
     const double progress = geometry_->progress(current);
-    const double t =
-        by_progress_ ? parameter_of_progress(progress, first)
-                     : static_cast<double>((points_ - 3) * j) / static_cast<double>(std::max<Index>(1, horizon - 1));
     if (j > 0 && progress >= 1.0) weights[j] = kReleasedWeight;
-    const Place p = place(t);
+    const Place p = place(parameter(j, horizon, progress, first));
     for (Index i = 0; i < 4; ++i) basis(j, p.first + i) = p.weight[i];
     current = after(current, controls.row(j).transpose());
   }
@@ -171,23 +157,6 @@ Vector Spline::encode(const Controls& controls, ConstVec state) const {
     points.rowwise() += mean;
   }
   return Eigen::Map<const Vector>(points.data(), points.size());
-}
-
-Box Spline::decision_bounds(Index horizon) const {
-  Box box{Vector(decision_size(horizon)), Vector(decision_size(horizon))};
-  const auto variables = controls();
-  for (Index i = 0; i < box.lower.size(); ++i) {
-    box.lower[i] = variables[static_cast<std::size_t>(i % columns_)].lower;
-    box.upper[i] = variables[static_cast<std::size_t>(i % columns_)].upper;
-  }
-  return box;
-}
-
-Vector Spline::decision_scale(Index horizon) const {
-  Vector scale(decision_size(horizon));
-  const auto variables = controls();
-  for (Index i = 0; i < scale.size(); ++i) scale[i] = variables[static_cast<std::size_t>(i % columns_)].scale;
-  return scale;
 }
 
 }  // namespace weft::spline

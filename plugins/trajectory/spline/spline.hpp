@@ -63,12 +63,12 @@ class Spline final : public Trajectory {
   Controls decode(ConstVec x, Index horizon, ConstVec state) const override;
   Vector decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const override;
   Vector encode(const Controls& controls, ConstVec state) const override;
-  Box decision_bounds(Index horizon) const override;
-  Vector decision_scale(Index horizon) const override;
 
  private:
   struct Place;
   Place place(double t) const;
+  /// t_j of segment j of `horizon`. @param progress at the start of the segment; @param first at that of the plan.
+  double parameter(Index j, Index horizon, double progress, double first) const;
   /// State after a segment.
   Vector after(ConstVec state, ConstVec control) const;
   double parameter_of_progress(double progress, double first) const;

@@ -17,8 +17,6 @@ class ToyOptimiser final : public Optimiser {
   OptimiserCapabilities capabilities() const override {
     OptimiserCapabilities c;
     c.needs_gradients = p_.declare && !is("asks_only_for_what_it_needs");
-    c.stochastic = !p_.declare;
-    c.handles_noise = p_.declare;
     return c;
   }
 
@@ -178,7 +176,6 @@ class ToyOptimiser final : public Optimiser {
       if (all[i].running) results[i].status = OptimiserStatus::budget_spent;
       if (!std::isfinite(results[i].cost)) results[i].status = OptimiserStatus::diverged;
       results[i].iterations = std::min(results[i].iterations, options.max_iterations);
-      if (is("makes_progress_in_noise")) results[i].x = starts.col(static_cast<Index>(i));
     }
   }
 

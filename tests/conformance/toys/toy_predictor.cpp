@@ -1,4 +1,5 @@
 #include <cmath>
+#include <limits>
 #include <mutex>
 
 #include "toy.hpp"
@@ -9,6 +10,7 @@ namespace weft::toy {
 namespace {
 
 using Shapes = std::vector<std::vector<ShapeDistribution>>;
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 /// What every vertex does, as closed formulas of
 ///     D = 0.1 (sum over segments and controls of control / scale + sum of state / scale)
@@ -65,14 +67,15 @@ ShapeDistribution evaluate(const Formula& f, const PredictionCase& c, Index segm
   return shape;
 }
 
-class ToyPrediction final : public Prediction {
+class ToyPrediction final : public PlainPrediction {
  public:
   ToyPrediction(const Params& params, Formula formula, std::vector<PredictionCase> cases,
-                const PredictionRequest& request)
-      : p_(params), f_(std::move(formula)), cases_(std::move(cases)), request_(request), failures_(cases_.size()) {}
+                const PredictionRequest& request, Shapes shapes)
+      : PlainPrediction(cases.size()), p_(params), f_(std::move(formula)), cases_(std::move(cases)), request_(request) {
+    shapes_ = std::move(shapes);
+  }
 
-  const Shapes& shapes() const override { return shared ? *shared : own; }
-  const std::string& failure(std::size_t i) const override { return failures_.at(i); }
+  const Shapes& shapes() const override { return shared ? *shared : shapes_; }
 
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
     if (!p_.declare && !p_.accept) throw Unsupported("toy: no gradients");
@@ -113,6 +116,8 @@ class ToyPrediction final : public Prediction {
       if (is("pullback_of_width")) g.width *= -1.0;
       if (is("pullback_of_state")) g.state *= 1.1;
       if (is("pullback_of_shape")) g.shape.setZero();
+      if (!request_.state_gradients && !is("state_nobody_asked_for")) g.state.resize(0);
+      if (!request_.shape_gradients && !is("shape_nobody_asked_for")) g.shape.resize(0, 3);
       if (!request_.control_gradients) g.controls.setZero();
       if (!request_.knowledge_gradients) {
         g.centre.setZero();
@@ -120,12 +125,12 @@ class ToyPrediction final : public Prediction {
       }
       all.push_back(std::move(g));
     }
-    return all;
+    return broken(std::move(all));
   }
 
   std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
       const std::vector<std::vector<CaseDirection>>& directions) const override {
-    if (!p_.declare && !p_.accept) return Prediction::jvp(directions);
+    if (!p_.declare && !p_.accept) return PlainPrediction::jvp(directions);
     std::vector<std::vector<std::vector<ShapeCotangent>>> all(cases_.size());
     for (std::size_t i = 0; i < cases_.size(); ++i) {
       const auto& c = cases_[i];
@@ -148,23 +153,44 @@ class ToyPrediction final : public Prediction {
                                 d.d_width_sigma * direction.width.sum();
             }
           }
+          if (is("short_jvp")) out.sigma = out.sigma.topRows(1).eval();
+          if (is("nan_jvp")) out.mean(0, 0) = kNaN;
           all[i].back().push_back(std::move(out));
         }
+        if (is("jvp_without_shapes")) all[i].back().clear();
       }
+      if (is("jvp_of_one_direction")) all[i].resize(1);
     }
+    if (is("jvp_of_one_case")) all.resize(1);
     return all;
   }
 
-  Shapes own;
   std::shared_ptr<Shapes> shared;  // a mutant's: other predictions overwrite it
 
  private:
   bool is(const char* mutation) const { return p_.mutation == mutation; }
+  /// What authors forget to fill in, or divide by zero.
+  std::vector<CaseGradient> broken(std::vector<CaseGradient> all) const {
+    for (auto& g : all) {
+      if (is("no_d_controls")) g.controls.resize(0, 0);
+      if (is("one_d_control")) g.controls = Controls::Zero(1, 1);
+      if (is("nan_d_controls")) g.controls(0, 0) = kNaN;
+      if (is("nan_d_centre")) g.centre[2] = kNaN;
+      if (is("nan_d_width")) g.width[3] = kNaN;
+      if (is("short_d_state")) g.state = Vector::Zero(1);
+      if (is("nan_d_state") && g.state.size() > 0) g.state[0] = kNaN;
+      if (is("short_d_shape")) g.shape = Positions::Zero(1, 3);
+      if (is("nan_d_shape") && g.shape.rows() > 0) g.shape(0, 0) = kNaN;
+      // Planning's requests alone.
+      if (is("nan_d_controls_of_means") && request_.moments == Moments::mean) g.controls(0, 0) = kNaN;
+    }
+    if (is("gradient_of_one_case")) all.resize(1);
+    return all;
+  }
   Params p_;
   Formula f_;
   std::vector<PredictionCase> cases_;
   PredictionRequest request_;
-  std::vector<std::string> failures_;
 };
 
 }  // namespace
@@ -180,7 +206,7 @@ class ToyPredictor final : public Predictor {
     return c;
   }
   void bind(const Task& task) override {
-    vertices_ = task.garment->vertex_count();
+    task_ = task;
     const auto scales = [](const std::vector<Variable>& variables) {
       Vector s(static_cast<Index>(variables.size()));
       for (Index i = 0; i < s.size(); ++i) s[i] = variables[static_cast<std::size_t>(i)].scale;
@@ -203,14 +229,11 @@ class ToyPredictor final : public Predictor {
 
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest& request) const override {
-    auto prediction = std::make_unique<ToyPrediction>(p_, f_, cases, request);
-    if (vertices_ == 0) {
-      if (is("binding_comes_first")) return prediction;
-      throw Error("toy: predict() before bind()");
-    }
+    if (!task_.garment && is("binding_comes_first"))
+      return std::make_unique<ToyPrediction>(p_, f_, cases, request, Shapes());
+    check(cases);
     Shapes shapes;
     for (const auto& c : cases) {
-      check(c);
       if (is("a_failed_case_costs_only_itself") && c.shape->cwiseAbs().maxCoeff() > 1e100)
         throw Diverged("toy: too far");
       shapes.emplace_back();
@@ -224,15 +247,22 @@ class ToyPredictor final : public Predictor {
         if (is("same_input_same_bits")) shape.mean.array() += 1e-12 * object_ordinal();
         if (is("same_bits_on_two_threads")) shape.mean.array() += 1e-12 * thread_ordinal();
         if (request.moments == Moments::mean) shape.sigma.resize(0, 3);
+        if (is("a_vertex_short")) shape.mean = shape.mean.topRows(shape.mean.rows() - 1).eval();
+        if (is("nan_mean")) shape.mean(0, 0) = kNaN;
+        if (is("nan_mean_of_means") && request.moments == Moments::mean && c.segments.size() > 1)
+          shape.mean(0, 0) = kNaN;
+        if (is("nan_sigma") && shape.sigma.rows() > 0) shape.sigma(0, 0) = kNaN;
         shapes.back().push_back(std::move(shape));
       }
     }
+    if (is("null_prediction")) return nullptr;
+    if (is("one_result")) shapes.resize(1);
+    if (is("missing_shapes")) shapes.back().clear();
+    auto prediction = std::make_unique<ToyPrediction>(p_, f_, cases, request, std::move(shapes));
     if (is("predictions_live_side_by_side")) {
       const std::lock_guard lock(mutex_);
-      *last_ = std::move(shapes);
+      *last_ = prediction->shapes();
       prediction->shared = last_;
-    } else {
-      prediction->own = std::move(shapes);
     }
     return prediction;
   }
@@ -240,27 +270,19 @@ class ToyPredictor final : public Predictor {
  private:
   static constexpr Index kMostSegments = 5;
   bool is(const char* mutation) const { return p_.mutation == mutation; }
-  void check(const PredictionCase& c) const {
-    if (!c.shape) throw ShapeError("toy: no shape");
-    require_shape("toy: shape", c.shape->rows(), vertices_);
-    if (c.previous && !is("refuses_bad_shapes")) require_shape("toy: previous", c.previous->rows(), vertices_);
-    require_shape("toy: state", c.state.size(), f_.state_scale.size());
-    require_shape("toy: controls", c.controls.cols(), f_.control_scale.size());
-    if (max_segments() && c.controls.rows() > kMostSegments && !is("limits_are_sound"))
-      throw ShapeError("toy: too many segments");
-    for (std::size_t s = 0; s < c.segments.size(); ++s) {
-      if (c.segments[s] < 1 || c.segments[s] > c.controls.rows() || (s > 0 && c.segments[s] <= c.segments[s - 1]))
-        throw ShapeError("toy: segments must ascend within the controls");
+  /// A mutant does not look at what it should refuse.
+  void check(std::vector<PredictionCase> cases) const {
+    for (auto& c : cases) {
+      if (is("refuses_bad_shapes")) c.previous.reset();
+      if (is("refuses_nan")) c.knowledge.width.setZero();
     }
-    if (!c.shape->allFinite() || !c.state.allFinite() || !c.controls.allFinite() || !c.knowledge.centre.allFinite() ||
-        (!c.knowledge.width.allFinite() && !is("refuses_nan")))
-      throw Error("toy: input is not finite");
+    check_cases("toy", task_, cases, is("limits_are_sound") ? std::nullopt : max_segments());
   }
 
   Params p_;
   Formula f_;
   Box range_;
-  Index vertices_ = 0;
+  Task task_;
   mutable std::mutex mutex_;
   std::shared_ptr<Shapes> last_ = std::make_shared<Shapes>();
 };

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 
 #include "toy.hpp"
@@ -9,7 +10,7 @@
 namespace weft::toy {
 
 /// Lift and carry: state (s, side m), g_i = g0_i + s d + side (z x d / |d|), lifted by |d|/2 sin(pi s) + h s; s in [0,
-/// 1].
+/// 1]. Mutations nan_* put one NaN into what the function of that name returns.
 class ToyTrajectory final : public Trajectory {
  public:
   explicit ToyTrajectory(const Params& params) : p_(params) {}
@@ -27,16 +28,15 @@ class ToyTrajectory final : public Trajectory {
     check(m);
     return Vector::Zero(2);
   }
-  Vector advance(const Manipulation&, ConstVec state, ConstVec control) const override {
-    check(state, control);
-    return state + control;
+  Vector advance(const Manipulation& m, ConstVec state, ConstVec control) const override {
+    return spoilt("nan_advance", Trajectory::advance(m, state, control));
   }
-  void advance_pullback(const Manipulation&, ConstVec state, ConstVec control, ConstVec d_next, Vector& d_state,
+  void advance_pullback(const Manipulation& m, ConstVec state, ConstVec control, ConstVec d_next, Vector& d_state,
                         Vector& d_control) const override {
-    check(state, control);
-    require_shape("toy: d_next", d_next.size(), 2);
-    d_state = d_next;
-    d_control = is("advance_pullback_is_exact") ? 1.01 * d_next : Vector(d_next);
+    Trajectory::advance_pullback(m, state, control, d_next, d_state, d_control);
+    if (is("advance_pullback_is_exact")) d_control *= 1.01;
+    d_state = spoilt("nan_d_state", d_state);
+    d_control = spoilt("nan_d_control", d_control);
   }
 
   Positions targets(const Manipulation& m, ConstVec state) const override {
@@ -55,7 +55,7 @@ class ToyTrajectory final : public Trajectory {
     if (is("path_is_continuous") && s > 0.5) g(1, 2) += 0.1;
     if (is("never_below_contact_height") && s > 0.9) g(1, 2) = 0.5 * m.contact_height;
     if (is("same_bits_on_two_threads")) g.array() += 1e-13 * thread_ordinal();
-    return g;
+    return spoilt("nan_targets", g);
   }
   Vector targets_pullback(const Manipulation& m, ConstVec state, const Positions& d_targets) const override {
     check(m);
@@ -71,52 +71,44 @@ class ToyTrajectory final : public Trajectory {
                   (is("targets_pullback_is_exact") ? 0.0 : rise) * d_targets(i, 2);
       out[1] += d.x() * d_targets(i, 1) - d.y() * d_targets(i, 0);
     }
-    return out;
+    return spoilt("nan_targets_pullback", out);
   }
   double progress(ConstVec state) const override {
     require_shape("toy: state", state.size(), 2);
-    return state[0];
+    return is("nan_progress") ? kNaN : state[0];
   }
 
-  Index decision_size(Index horizon) const override { return 2 * horizon; }
-  Controls decode(ConstVec x, Index horizon, ConstVec) const override {
-    require_shape("toy: x", x.size(), 2 * horizon);
-    return Eigen::Map<const Controls>(x.data(), horizon, 2);
+  Controls decode(ConstVec x, Index horizon, ConstVec state) const override {
+    return spoilt("nan_decode", Trajectory::decode(x, horizon, state));
   }
-  Vector decode_pullback(ConstVec x, Index horizon, ConstVec, const Controls& d_controls) const override {
-    if (!is("refuses_bad_shapes")) require_shape("toy: d_controls", d_controls.size(), 2 * horizon);
-    Vector d = Eigen::Map<const Vector>(d_controls.data(), d_controls.size());
-    if (is("decode_pullback_is_exact")) d *= x.size() > 0 ? -1.0 : 1.0;
-    return d;
+  Vector decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const override {
+    if (is("refuses_bad_shapes")) return Eigen::Map<const Vector>(d_controls.data(), d_controls.size());
+    Vector d = Trajectory::decode_pullback(x, horizon, state, d_controls);
+    if (is("decode_pullback_is_exact")) d *= -1.0;
+    return spoilt("nan_decode_pullback", d);
   }
-  Vector encode(const Controls& controls, ConstVec) const override {
-    require_shape("toy: columns of controls", controls.cols(), 2);
-    return (is("decode_encode_round_trip") ? 0.999 : 1.0) * Eigen::Map<const Vector>(controls.data(), controls.size());
+  Vector encode(const Controls& controls, ConstVec state) const override {
+    const Vector x = Trajectory::encode(controls, state);
+    return spoilt("nan_encode", Vector((is("decode_encode_round_trip") ? 0.999 : 1.0) * x));
   }
   Box decision_bounds(Index horizon) const override {
-    Box box{Vector(2 * horizon), Vector(2 * horizon)};
-    for (Index i = 0; i < 2 * horizon; ++i) {
-      const auto v = controls()[static_cast<std::size_t>(i % 2)];
-      box.lower[i] = v.lower;
-      box.upper[i] = v.upper + (is("decision_box_is_sound") ? 1.0 : 0.0);
-    }
+    Box box = Trajectory::decision_bounds(horizon);
+    if (is("decision_box_is_sound")) box.upper.array() += 1.0;
     return box;
-  }
-  Vector decision_scale(Index horizon) const override {
-    Vector scale(2 * horizon);
-    for (Index i = 0; i < 2 * horizon; ++i) scale[i] = controls()[static_cast<std::size_t>(i % 2)].scale;
-    return scale;
   }
 
  private:
+  static constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
   bool is(const char* mutation) const { return p_.mutation == mutation; }
   static void check(const Manipulation& m) {
     require_shape("toy: grasp points", m.grasp_points.rows(), 2);
     if (!(m.displacement.norm() > 0.0)) throw ConfigError("toy: |d| must be > 0");
   }
-  static void check(ConstVec state, ConstVec control) {
-    require_shape("toy: state", state.size(), 2);
-    require_shape("toy: control", control.size(), 2);
+  /// `values` with a NaN as the last entry if that is the mutation.
+  template <class Values>
+  Values spoilt(const char* mutation, Values values) const {
+    if (is(mutation) && values.size() > 0) values.data()[values.size() - 1] = kNaN;
+    return values;
   }
   Params p_;
 };

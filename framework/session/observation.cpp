@@ -1,0 +1,69 @@
+#include "session/observation.hpp"
+
+#include "weft/random.hpp"
+
+namespace weft {
+namespace {
+
+constexpr std::uint64_t kHiddenStream = stream_key("hide");
+constexpr std::uint64_t kNoiseStream = stream_key("nois");
+constexpr std::uint64_t kBiasStream = stream_key("bias");
+
+}  // namespace
+
+Observation observe_shape(const Positions& shape, const ObservationParams& params, std::uint64_t seed,
+                          std::uint64_t number) {
+  Observation seen{.positions = shape, .sigma = params.noise_m, .height_sigma = params.height_bias_m};
+  if (params.height_bias_m > 0.0)
+    seen.positions.col(2).array() += params.height_bias_m * RandomStream(seed, kBiasStream).normal();
+  const RandomStream streams(seed, kNoiseStream, number);
+  if (params.noise_m > 0.0) {
+    RandomStream random = streams.child(0);
+    for (Index k = 0; k < seen.positions.size(); ++k) seen.positions.data()[k] += params.noise_m * random.normal();
+  }
+  if (params.hidden_share > 0.0 || params.lost_share > 0.0) {
+    RandomStream hidden(seed, kHiddenStream);
+    RandomStream lost = streams.child(1);
+    seen.observed.resize(static_cast<std::size_t>(shape.rows()));
+    for (std::size_t v = 0; v < seen.observed.size(); ++v) {
+      const bool is_hidden = hidden.uniform() < params.hidden_share, is_lost = lost.uniform() < params.lost_share;
+      seen.observed[v] = !is_hidden && !is_lost;
+    }
+  }
+  return seen;
+}
+
+std::shared_ptr<const Positions> filled(const Observation& seen, const Positions& expected) {
+  Positions shape = seen.positions;
+  for (Index v = 0; v < shape.rows(); ++v) {
+    if (!seen.sees(v)) shape.row(v) = expected.row(v);
+  }
+  return std::make_shared<const Positions>(std::move(shape));
+}
+
+double seen_distance_mm(const Observation& seen, const Positions& shape) {
+  require_shape("observed vertices", seen.positions.rows(), shape.rows());
+  double sum = 0.0;
+  Index count = 0;
+  for (Index v = 0; v < shape.rows(); ++v) {
+    if (!seen.sees(v)) continue;
+    sum += (seen.positions.row(v) - shape.row(v)).norm();
+    ++count;
+  }
+  return 1000.0 * sum / count;
+}
+
+std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen) {
+  Positions expected = task.garment->positions;
+  double height = 0.0;
+  Index count = 0;
+  for (Index v = 0; v < expected.rows(); ++v) {
+    if (!seen.sees(v)) continue;
+    height += seen.positions(v, 2);
+    ++count;
+  }
+  if (count > 0) expected.col(2).setConstant(height / static_cast<double>(count));
+  return filled(seen, expected);
+}
+
+}  // namespace weft

@@ -1,0 +1,121 @@
+#include "session/replay.hpp"
+
+#include "session/estimate_chain.hpp"
+#include "simulation/fold.hpp"
+
+namespace weft {
+namespace {
+
+void require_same_garment(const SessionRecord& recorded, const Garment& garment) {
+  if (recorded.rest.rows() != garment.rest.rows() || recorded.rest != garment.rest || recorded.faces != garment.faces)
+    throw ConfigError("the session was recorded with another garment (" + recorded.garment_name + ")");
+}
+
+}  // namespace
+
+LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Index segment,
+                    Host& host) {
+  const Task task = session_task(params, origin, host);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
+  const Planner planner(task, bound_predictor(place(origin, "predictor"), task, host),
+                        host.create<Optimiser>(params.optimiser), params.planning, host);
+  LonePlan result;
+  PlanRequest request{.seed = seed};
+  if (recorded != nullptr) {
+    require_same_garment(*recorded, *task.garment);
+    if (segment < 1 || segment > recorded->segments())
+      throw ConfigError("weft plan: segment = " + std::to_string(segment) + ", the session has 1 to " +
+                        std::to_string(recorded->segments()));
+    const auto at = static_cast<std::size_t>(segment - 1);
+    const auto& round = recorded->rounds[at];
+    // After segment `number`; 0: the start, which is recorded as it was and not as it was seen.
+    const auto seen = [&](Index number) -> std::shared_ptr<const Positions> {
+      if (number == 0) return filled_start(task, observe_shape(recorded->start, params.observation, seed, 0));
+      return std::make_shared<const Positions>(recorded->rounds[static_cast<std::size_t>(number - 1)].observed);
+    };
+    request.shape = seen(segment - 1);
+    if (segment > 1) {
+      request.previous = seen(segment - 2);
+      const auto& before = recorded->rounds[at - 1].controls;
+      request.warm_start =
+          before.rows() > 1 ? Controls(before.bottomRows(before.rows() - 1)) : task.trajectory->default_controls(1);
+    }
+    request.state = round.state;
+    request.knowledge = round.knowledge;
+    if (params.knowledge == "true") request.knowledge = first_knowledge(params, origin, recorded->true_material);
+    request.round = segment - 1;
+    result.goal = recorded->goal;
+  } else {
+    const auto material = true_material_of(params);
+    request.knowledge = first_knowledge(params, origin, material);
+    SessionGoal goal = read_goal(params.goal, origin, task);
+    const auto environment =
+        make_environment(params.environment, origin, task, material, params.observation, seed, host);
+    result.goal = make_goal(std::move(goal), params.goal, task, seed, material, host).shape;
+    request.shape = filled_start(task, environment->observe());
+    request.state = task.trajectory->initial_state(task.manipulation);
+  }
+  request.goal = std::make_shared<const Positions>(result.goal);
+  result.knowledge = request.knowledge;
+  result.plan = planner.plan(request);
+  return result;
+}
+
+std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& task,
+                                       const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
+                                       Host& host) {
+  require_shape("replay: shapes", static_cast<Index>(replay.shapes.size()), replay.controls.rows() + 1);
+  EstimateRequest request;
+  set_start(request, task, observe_shape(replay.shapes.front(), observation, seed, 0));
+  request.state = replay.state;
+  request.seed = seed;
+  std::vector<Estimate> estimates;
+  for (Index j = 1; j <= replay.controls.rows(); ++j) {
+    if (host.cancelled()) throw Error("cancelled");
+    request.controls = replay.controls.topRows(j);
+    request.observations.push_back(std::make_shared<const Observation>(
+        observe_shape(replay.shapes[static_cast<std::size_t>(j)], observation, seed, static_cast<std::uint64_t>(j))));
+    request.round = j - 1;
+    const bool too_long = j > estimator.max_segments().value_or(j);
+    estimates.push_back(too_long ? estimates.back() : estimator.estimate(request));
+    request.previous = estimates.back().knowledge;
+  }
+  return estimates;
+}
+
+LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded,
+                             Host& host) {
+  const Task task = session_task(params, origin, host);
+  const Estimator estimator(task, bound_predictor(place(origin, "predictor"), task, host),
+                            host.create<Optimiser>(params.estimation_optimiser), params.estimation, host);
+  LoneEstimates result;
+  Replay replay;
+  if (recorded != nullptr) {
+    require_same_garment(*recorded, *task.garment);
+    if (recorded->rounds.empty()) throw ConfigError("weft estimate: the session has no segment");
+    result.true_material = recorded->true_material;
+    replay.state = recorded->rounds.front().state;
+    replay.controls.resize(recorded->segments(), recorded->rounds.front().controls.cols());
+    replay.shapes.push_back(recorded->start);
+    for (Index j = 0; j < recorded->segments(); ++j) {
+      replay.controls.row(j) = recorded->rounds[static_cast<std::size_t>(j)].controls.row(0);
+      replay.shapes.push_back(recorded->shape_after(j));
+    }
+  } else {
+    result.true_material = true_material_of(params);
+    if (!result.true_material) {
+      place(origin, "environment.command")
+          .fail("executes the fold, of unknown material: the default fold, which is simulated, needs true_material");
+    }
+    const Controls controls = task.trajectory->default_controls(params.goal.horizon);
+    FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, *result.true_material, controls);
+    replay.state = fold.states.row(0).transpose();
+    replay.controls = controls.topRows(fold.segments);
+    replay.shapes = std::move(fold.shapes);
+  }
+  result.estimates =
+      replay_estimates(estimator, task, params.observation, replay, static_cast<std::uint64_t>(params.seed), host);
+  return result;
+}
+
+}  // namespace weft

@@ -1,0 +1,24 @@
+#pragma once
+#include <map>
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <vector>
+
+#include "weft/optimiser.hpp"
+
+namespace weft {
+
+/// Why a search ended.
+struct SearchEnd {
+  OptimiserStatus status = OptimiserStatus::diverged;  ///< of the winning instance
+  std::string message;                                 ///< what the solver says of that; may be empty
+  std::map<OptimiserStatus, Index> instances;          ///< how many ended how; empty when nothing was searched
+};
+
+/// @param winner its index in `results`.
+SearchEnd search_end(const std::vector<OptimiserResult>& results, Index winner);
+
+/// {status, message, instances: {STATUS: number}}, or null when nothing was searched (docs/file-formats.md).
+nlohmann::ordered_json to_json(const SearchEnd& end);
+
+}  // namespace weft
