@@ -1,14 +1,12 @@
 #include <cstdio>
-#include <fstream>
 #include <iostream>
 #include <sstream>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/ablation.hpp"
 #include "experiments/cells.hpp"
 #include "experiments/physics/physics.hpp"
 #include "output.hpp"
-#include "page.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
@@ -38,7 +36,7 @@ ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginR
       const Task task = make_task(params.task, arm.config, host);
       check_simulator(task.simulator, task, host);
       if (!params.other.is_null()) check_simulator(params.other, task, host);
-      return self_contained(resolved, task, registry, folder);
+      return self_contained(resolved, describe_params<PhysicsExperimentParams>(), task, registry, folder);
     }
     SessionParams params;
     const ConfigNode resolved = read_params(arm.config, params);
@@ -47,7 +45,7 @@ ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginR
     check_simulator(task.simulator, task, host);
     const auto predictor = bound_predictor(place(arm.config, "predictor"), task, host);
     const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
-    return self_contained(resolved, task, registry, folder);
+    return self_contained(resolved, describe_params<SessionParams>(), task, registry, folder);
   } catch (const Error& error) {
     throw ConfigError("arm '" + arm.name + "': " + error.what());
   }

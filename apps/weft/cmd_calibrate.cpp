@@ -4,7 +4,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/held_out.hpp"
 #include "output.hpp"
@@ -18,11 +18,13 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
-/// Finds out before the work whether its result can be kept. @param original the model that is to stay as it is.
-void require_place(const fs::path& file, const fs::path& original) {
+/// Finds out before the work whether its result can be kept. @param originals files that must stay as they are.
+void require_place(const fs::path& file, const std::vector<fs::path>& originals) {
   const auto refuse = [&](const std::string& reason) { throw ConfigError("--out = " + file.string() + ": " + reason); };
   std::error_code error;
-  if (fs::equivalent(file, original, error)) refuse("is the model that is calibrated; name another file");
+  for (const auto& original : originals) {
+    if (fs::equivalent(file, original, error)) refuse("is the model that is calibrated; name another file");
+  }
   if (fs::is_directory(file, error)) refuse("is a folder, must be a file");
   const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
   fs::create_directories(folder, error);
@@ -79,9 +81,10 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   if (learner == nullptr)
     given.config.fail(
         "predictor does not learn and has nothing to calibrate; name a trained one, such as {plugin: emd}");
-  const ConfigNode named = place(slot, "params.model");
-  const fs::path model = named.is_null() ? fs::path() : named.as_path();
-  require_place(out, model);
+  std::vector<fs::path> files;  // of the predictor; the first one is the model
+  for (const ConfigNode& named : given.host->files(Predictor::kKind, slot)) files.push_back(named.as_path());
+  require_place(out, files);
+  const fs::path model = files.empty() ? fs::path() : files.front();
 
   const Dataset dataset = read_datasets(context, folders, given.task);
   const auto trained_on = learner->trained_on();
@@ -97,8 +100,8 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   for (std::size_t d = 0; d < counts.size(); ++d) {
     if (counts[d] == 0) {
       throw ConfigError(folders[d] +
-                        ": holds no example outside of its test split that the model's fit has not seen; leave it out, "
-                        "or make examples of another seed");
+                        ": holds no example outside of its test split that the model's fit has not seen; "
+                        "leave it out, or make examples of another seed");
     }
     context.say("calibrating on " + std::to_string(counts[d]) + " of the " + std::to_string(all[d]) + " examples of " +
                 folders[d]);
@@ -139,7 +142,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
 }  // namespace
 
 void register_calibrate(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("calibrate", "Find anew how wide a trained predictor's sigma must be");
+  CLI::App* command = app.add_subcommand("calibrate", "Refit a trained predictor's sigma to other examples");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   auto data = std::make_shared<std::vector<std::string>>();

@@ -3,8 +3,8 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
+#include "commands.hpp"
 #include "conformance/conformance.hpp"
-#include "context.hpp"
 
 namespace weft::app {
 namespace {

@@ -4,7 +4,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
 #include "options.hpp"

@@ -2,6 +2,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
+#include "commands.hpp"
 #include "prepared.hpp"
 #include "session/session.hpp"
 #include "simulation/displacement.hpp"

@@ -1,12 +1,6 @@
-#include "context.hpp"
+#include "commands.hpp"
 
 namespace weft::app {
-
-// One per file cmd_evaluate_*.cpp.
-void register_evaluate_physics(CLI::App& evaluate, Context& context);
-void register_evaluate_prediction(CLI::App& evaluate, Context& context);
-void register_evaluate_planning(CLI::App& evaluate, Context& context);
-void register_evaluate_estimation(CLI::App& evaluate, Context& context);
 
 void register_evaluate(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("evaluate", "Measure a part of weft against what is known to be true");

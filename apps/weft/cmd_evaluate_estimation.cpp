@@ -1,8 +1,8 @@
 #include <iostream>
 
+#include "commands.hpp"
 #include "evaluation_run.hpp"
 #include "experiments/estimation_evaluation.hpp"
-#include "page.hpp"
 
 namespace weft::app {
 namespace {
@@ -43,7 +43,7 @@ void register_evaluate_estimation(CLI::App& app, Context& context) {
   auto methods = std::make_shared<std::vector<std::string>>();
   add_evaluation_options(*command, *options);
   command->add_option("--methods", *methods, "estimation.method of each arm; default: the config's")
-      ->check(CLI::IsMember({"posterior", "prior", "plain"}));
+      ->check(CLI::IsMember(param_named(describe_params<SessionParams>(), "estimation.method").choices));
   command->callback([&context, options, methods] {
     context.action = [&context, options, methods] { return evaluate(context, *options, *methods); };
   });

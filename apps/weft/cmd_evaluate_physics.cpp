@@ -5,11 +5,10 @@
 #include <mutex>
 #include <nlohmann/json.hpp>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/csv.hpp"
 #include "experiments/physics/suite.hpp"
 #include "output.hpp"
-#include "page.hpp"
 #include "prepared.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"

@@ -1,10 +1,10 @@
 #include <cstdio>
 #include <iostream>
 
+#include "commands.hpp"
 #include "evaluation_run.hpp"
 #include "experiments/planning_evaluation.hpp"
 #include "options.hpp"
-#include "page.hpp"
 
 namespace weft::app {
 namespace {

@@ -2,11 +2,10 @@
 #include <cstdio>
 #include <iostream>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/prediction_evaluation.hpp"
 #include "output.hpp"
-#include "page.hpp"
 #include "prepared.hpp"
 #include "weft/config.hpp"
 

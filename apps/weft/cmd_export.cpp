@@ -1,6 +1,6 @@
 #include <cstdio>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "exports.hpp"
 #include "options.hpp"
 #include "output.hpp"

@@ -1,11 +1,12 @@
 #include <cstdio>
-#include <fstream>
 #include <iostream>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "meshes/mesher.hpp"
 #include "options.hpp"
+#include "sdk/files.hpp"
 
 namespace weft::app {
 namespace {
@@ -50,7 +51,7 @@ MeshSize::Line parse_line(const std::string& text) {
 
 void write_yaml(const std::filesystem::path& path, const Request& request, const GeneratedMesh& result,
                 const std::string& mesh_file) {
-  std::ofstream out(path);
+  std::ostringstream out;
   char line[200];
   std::snprintf(line, sizeof line, "# %ld vertices, %ld faces, smallest angle %.1f deg, edges %.1f to %.1f mm\n",
                 static_cast<long>(result.mesh.positions.rows()), static_cast<long>(result.mesh.faces.rows()),
@@ -62,8 +63,7 @@ void write_yaml(const std::filesystem::path& path, const Request& request, const
                               {"mesh", ConfigNode::scalar(mesh_file)},
                               {"vertices", ConfigNode::mapping(std::move(vertices))}})
              .to_yaml();
-  out.flush();
-  if (!out) throw Error(path.string() + ": cannot be written");
+  write_text(path, out.str());
 }
 
 int run_garment(const Context& context, Request request) {

@@ -2,7 +2,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
@@ -29,12 +29,10 @@ void parse_shard(const std::string& text, GenerateOptions& options) {
 /// What the examples depend on: the task and how they are made, and nothing of what is done with them later.
 ConfigNode data_config(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
                        const std::filesystem::path& folder) {
-  std::vector<std::pair<std::string, ConfigNode>> entries;
-  for (const char* key :
-       {"seed", "garment", "material", "simulator", "trajectory", "manipulation", "scene", "settle", "data"}) {
-    if (const auto value = resolved.find(key)) entries.emplace_back(key, *value);
-  }
-  return self_contained(ConfigNode::mapping(entries), task, registry, folder);
+  const auto params = describe_params<ExperimentParams>();
+  const ConfigNode examples =
+      keep_params(resolved, params, [](const ParamInfo& info) { return info.decides == Decides::examples; });
+  return self_contained(examples, params, task, registry, folder);
 }
 
 /// The header a folder goes on with. A folder that an earlier version began, whose config says the same once today's

@@ -2,7 +2,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"

@@ -3,7 +3,8 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
-#include "context.hpp"
+#include "commands.hpp"
+#include "experiments/ablation.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/physics/physics.hpp"
 #include "options.hpp"
@@ -52,7 +53,14 @@ constexpr FileKind kFileKinds[] = {
     {"task", "weft run, weft plan, weft estimate", describe_params<SessionParams>},
     {"experiment", "weft generate, weft train, weft calibrate, weft evaluate", describe_params<ExperimentParams>},
     {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
+    {"ablation", "weft ablate", describe_params<AblationParams>},
 };
+
+std::string file_kind_names() {
+  std::string names;
+  for (const auto& kind : kFileKinds) names += (names.empty() ? "" : ", ") + std::string(kind.name);
+  return names;
+}
 
 /// PluginRegistry::find(), which does not know that a kind of file may have been meant.
 PluginEntry find(const PluginRegistry& registry, const std::string& name) {
@@ -92,7 +100,11 @@ int describe(const Context& context, const std::string& name, bool markdown) {
                        {"unit", p.unit},
                        {"range", p.range},
                        {"default", p.default_value},
-                       {"text", p.text}});
+                       {"text", p.text},
+                       {"decides", to_string(p.decides)}});
+      if (!p.slot.empty()) array.back()["slot"] = p.slot;
+      if (!p.choices.empty()) array.back()["choices"] = p.choices;
+      if (p.length.count > 0) array.back()["length"] = p.length.count;
     }
     about["params"] = array;
     std::cout << about.dump(2) << '\n';
@@ -133,7 +145,7 @@ void register_describe(CLI::App& app, Context& context) {
   auto markdown = std::make_shared<bool>(false);
   command
       ->add_option("name", *name,
-                   "Plugin name, kind/name, or library file; or task, experiment, physics: the keys of such files")
+                   "Plugin name, kind/name, or library file; or " + file_kind_names() + ": the keys of such files")
       ->required();
   command->add_flag("--markdown", *markdown, "As the table of the plugin's README");
   command->callback([&context, name, markdown] {

@@ -2,9 +2,8 @@
 #include <cstdio>
 #include <iostream>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "output.hpp"
-#include "page.hpp"
 #include "prepared.hpp"
 #include "session/session.hpp"
 #include "session/session_file.hpp"

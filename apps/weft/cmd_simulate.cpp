@@ -1,7 +1,7 @@
 #include <cstdio>
 #include <iostream>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "output.hpp"
 #include "simulation/scene.hpp"
 

@@ -1,7 +1,7 @@
 #include <cstdio>
 #include <iostream>
 
-#include "context.hpp"
+#include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
@@ -56,12 +56,11 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
     context.say(line);
     return true;
   });
-  // The resolved config beside the results, with the trained predictor's every default.
+  // The resolved config beside the results, with every default of the trained predictor.
   const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
   write_text(out / "training.json", report.json);
-  write_text(
-      out / "config.yaml",
-      given.resolved.with("predictor", given.registry->resolve(Predictor::kKind, given.params.predictor)).to_yaml());
+  write_text(out / "config.yaml",
+             given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
   if (context.json) std::cout << report.json;
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
                 report.finished ? "done" : "stopped; the same command goes on",

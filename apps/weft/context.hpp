@@ -38,21 +38,4 @@ struct Context {
 /// Adds --set, --seed, --out, --jobs, --quiet and --json to a subcommand.
 void add_common_options(CLI::App& command, Context& context);
 
-// One per file cmd_*.cpp.
-void register_run(CLI::App& app, Context& context);
-void register_plan(CLI::App& app, Context& context);
-void register_estimate(CLI::App& app, Context& context);
-void register_plugins(CLI::App& app, Context& context);
-void register_describe(CLI::App& app, Context& context);
-void register_conformance(CLI::App& app, Context& context);
-void register_garment(CLI::App& app, Context& context);
-void register_simulate(CLI::App& app, Context& context);
-void register_ablate(CLI::App& app, Context& context);
-void register_displacement(CLI::App& app, Context& context);
-void register_generate(CLI::App& app, Context& context);
-void register_dataset(CLI::App& app, Context& context);
-void register_train(CLI::App& app, Context& context);
-void register_calibrate(CLI::App& app, Context& context);
-void register_evaluate(CLI::App& app, Context& context);
-
 }  // namespace weft::app

@@ -27,10 +27,7 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
   const auto& params = given.params;
   const auto& task = given.task;
   Host& host = *given.host;
-  session = given.config;
-  for (const char* key : {"data", "dataset", "evaluation"}) {
-    if (session.has(key)) session = session.without(key);
-  }
+  session = keep_params(given.config, describe_params<SessionParams>(), [](const ParamInfo&) { return true; });
   predictor_ = bound_predictor(place(given.config, "predictor"), task, host);
   const Planner planner(task, predictor_, host.create<Optimiser>(params.optimiser), params.planning, host);
   if (name == "evaluate-estimation") {

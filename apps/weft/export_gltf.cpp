@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "exports.hpp"
+#include "sdk/files.hpp"
 
 namespace weft::app {
 namespace {
@@ -162,10 +163,10 @@ void export_gltf(const std::filesystem::path& file, const SessionRecord& session
   model.defaultScene = 0;
   tinygltf::TinyGLTF writer;
   const bool binary = file.extension() != ".gltf";
-  const std::string temporary = file.string() + ".tmp";
-  if (!writer.WriteGltfSceneToFile(&model, temporary, true, true, false, binary))
-    throw Error(file.string() + ": cannot be written");
-  std::filesystem::rename(temporary, file);
+  WholeFile whole(file);
+  if (!writer.WriteGltfSceneToFile(&model, whole.temporary().string(), true, true, false, binary))
+    whole.fail("see whether its folder is there and has room");
+  whole.commit();
 }
 
 }  // namespace weft::app

@@ -7,6 +7,7 @@
 #include <numbers>
 
 #include "exports.hpp"
+#include "sdk/files.hpp"
 #include "weft/garment.hpp"
 
 namespace weft::app {
@@ -337,11 +338,10 @@ double write_still(const std::filesystem::path& file, const SessionRecord& sessi
   image.width = static_cast<png_uint_32>(options.width);
   image.height = static_cast<png_uint_32>(options.height);
   image.format = PNG_FORMAT_RGBA;
-  const std::string temporary = file.string() + ".tmp";
-  if (png_image_write_to_file(&image, temporary.c_str(), 0, pixels.data(), 0, nullptr) == 0) {
-    throw Error(file.string() + ": cannot be written: " + image.message);
-  }
-  std::filesystem::rename(temporary, file);
+  WholeFile whole(file);
+  if (png_image_write_to_file(&image, whole.temporary().c_str(), 0, pixels.data(), 0, nullptr) == 0)
+    whole.fail(image.message);
+  whole.commit();
   return range;
 }
 

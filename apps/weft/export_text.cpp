@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "exports.hpp"
+#include "sdk/files.hpp"
 #include "weft/garment.hpp"
 
 namespace weft::app {
@@ -11,10 +12,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Writes a file whole or not at all.
+/// A text that grows line by line, of a file that appears whole or not at all.
 class TextFile {
  public:
-  explicit TextFile(fs::path file) : file_(std::move(file)), temporary_(file_.string() + ".tmp"), stream_(temporary_) {}
+  explicit TextFile(fs::path file) : whole_(std::move(file)), stream_(whole_.temporary()) {}
   template <class... Values>
   void print(const char* format, Values... values) {
     char text[256];
@@ -24,12 +25,12 @@ class TextFile {
   void text(const std::string& text) { stream_ << text; }
   void commit() {
     stream_.close();
-    if (!stream_) throw Error(file_.string() + ": cannot be written");
-    fs::rename(temporary_, file_);
+    if (!stream_) whole_.fail("see whether its folder is there and has room");
+    whole_.commit();
   }
 
  private:
-  fs::path file_, temporary_;
+  WholeFile whole_;
   std::ofstream stream_;
 };
 

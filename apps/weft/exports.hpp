@@ -3,13 +3,10 @@
 #include <string>
 #include <vector>
 
-#include "context.hpp"
 #include "session/session_file.hpp"
 
 /// Recorded sessions in the formats of other programs. docs/report.md says what each holds.
 namespace weft::app {
-
-void register_export(CLI::App& app, Context& context);
 
 /// Frames to export and the time of each.
 struct Timeline {

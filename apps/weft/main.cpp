@@ -1,8 +1,7 @@
 #include <cstdio>
 #include <exception>
 
-#include "context.hpp"
-#include "exports.hpp"
+#include "commands.hpp"
 #include "weft/config.hpp"
 #include "weft_commit.hpp"
 

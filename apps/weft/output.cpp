@@ -1,9 +1,9 @@
 #include "output.hpp"
 
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "report/page.hpp"
 #include "weft_commit.hpp"
 
 namespace weft::app {
@@ -38,34 +38,24 @@ std::string provenance_json(const PluginRegistry& registry, const Host& host, st
          "\n";
 }
 
-ConfigNode self_contained(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
-                          const fs::path& folder) {
+ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
+                          const PluginRegistry& registry, const fs::path& folder) {
   const auto& garment = *task.garment;
   write_obj(folder / "garment.obj", {garment.positions, garment.faces, garment.rest, garment.name}, true);
   std::vector<std::pair<std::string, ConfigNode>> vertices;
   for (const auto& [name, index] : garment.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
-  ConfigNode config = resolved.with("garment", ConfigNode::mapping({{"mesh", ConfigNode::quoted("garment.obj")},
-                                                                    {"name", ConfigNode::quoted(garment.name)},
-                                                                    {"vertices", ConfigNode::mapping(vertices)}}));
-  config = config.with("material", write_material_space(task.material));
-  for (const auto& [key, kind] : {std::pair(Simulator::kKind, Simulator::kKind),
-                                  {Predictor::kKind, Predictor::kKind},
-                                  {Trajectory::kKind, Trajectory::kKind},
-                                  {"optimiser", "optimiser"},
-                                  {"estimation_optimiser", "optimiser"}}) {
-    const auto slot = config.find(key);
-    if (slot && !slot->is_null()) config = config.with(key, registry.resolve(kind, *slot));
-  }
-  return config;
+  const ConfigNode config = resolved
+                                .with("garment", ConfigNode::mapping({{"mesh", ConfigNode::quoted("garment.obj")},
+                                                                      {"name", ConfigNode::quoted(garment.name)},
+                                                                      {"vertices", ConfigNode::mapping(vertices)}}))
+                                .with("material", write_material_space(task.material));
+  return registry.resolve_slots(config, params);
 }
 
-void write_text(const fs::path& file, const std::string& text) {
-  const fs::path temporary = file.string() + ".tmp";
-  std::ofstream stream(temporary, std::ios::binary);
-  stream << text;
-  stream.close();
-  if (!stream) throw Error(file.string() + ": cannot be written");
-  fs::rename(temporary, file);
+void write_page(const Context& context, const fs::path& folder) {
+  const std::string why_not = write_report(folder);
+  context.say(why_not.empty() ? "to look at it, open " + (folder / "report.html").string()
+                              : "no report.html: " + why_not);
 }
 
 }  // namespace weft::app

@@ -1,8 +1,10 @@
 #pragma once
 #include <filesystem>
 #include <string>
+#include <vector>
 
 #include "context.hpp"
+#include "sdk/files.hpp"
 #include "simulation/task_config.hpp"
 
 namespace weft::app {
@@ -17,11 +19,12 @@ std::filesystem::path session_file(const std::string& given);
 std::string provenance_json(const PluginRegistry& registry, const Host& host, std::uint64_t seed);
 
 /// Makes the resolved config of a task independent of where its files lie: the garment goes into the folder as
-/// garment.obj, the material space into the config itself, plugin slots get every default.
-ConfigNode self_contained(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
-                          const std::filesystem::path& folder);
+/// garment.obj, the material space into the config itself, every plugin slot gets every default.
+/// @param params what the config's keys are: describe_params<...>().
+ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
+                          const PluginRegistry& registry, const std::filesystem::path& folder);
 
-/// Writes text to a file whole or not at all. @throws Error.
-void write_text(const std::filesystem::path& file, const std::string& text);
+/// Writes folder/report.html from the results that lie there, and says where it is, or why there is none.
+void write_page(const Context& context, const std::filesystem::path& folder);
 
 }  // namespace weft::app

@@ -20,7 +20,7 @@ struct AblationParams {
 
   template <class Visitor>
   void visit(Visitor& v) {
-    v("description", description, "What is compared, for people.");
+    v("description", description, "What is compared, for people.", Decides::nothing);
     v("measure", measure, choice({"session", "physics"}),
       "What a cell runs. session: a whole session; physics: a case of the physics suite in the arm's simulator, whose "
       "paired folds are compared with `other`.");
@@ -34,8 +34,9 @@ struct AblationParams {
       "{factor: level}: each arm is compared with the arm that has these levels and is like it otherwise; default: the "
       "first "
       "level of the first factor.");
-    v("seeds", seeds, "A list, or {first: 1, count: 10}. Not with measure: physics, whose cases count from 0.");
-    v("resamples", resamples, range(100, 1e6), "Of the bootstrap.");
+    v("seeds", seeds, "A list, or {first: 1, count: 10}. Not with measure: physics, whose cases count from 0.",
+      Decides::nothing);
+    v("resamples", resamples, range(100, 1e6), "Of the bootstrap.", Decides::nothing);
   }
 };
 

@@ -15,7 +15,7 @@ struct ExperimentParams : SessionParams {
   template <class Visitor>
   void visit(Visitor& v) {
     SessionParams::visit(v);
-    v.group("data", data, "How examples are made.");
+    v.group("data", data, "How examples are made.", Decides::examples);
     v("dataset", dataset, "Folder of the examples, for commands that read them.");
     v.group("evaluation", evaluation, "What `weft evaluate prediction` measures.");
   }

@@ -25,7 +25,7 @@ struct PredictionEvaluationParams {
   void visit(Visitor& v) {
     v("split", split, choice({"train", "validation", "test", "all"}),
       "Examples to predict; `all` is for datasets that the model was neither trained nor calibrated on.");
-    v("max_examples", max_examples, range(0, 1e9), "Use that many of them; 0: all.");
+    v("max_examples", max_examples, range(0, 1e9), "Use that many of them; 0: all.", Decides::nothing);
     v("batch", batch, range(1, 4096), "Cases per call of the predictor.");
     v("random_starts", random_starts, range(1, 200),
       "Segments of an example that predictions from within it begin with: as many as it has, not its first.");

@@ -121,6 +121,9 @@ class ProgramHost final : public Host {
                                      : std::max(1, static_cast<int>(std::thread::hardware_concurrency()))),
         pool_(threads_) {}
 
+  std::vector<ConfigNode> files(const std::string& kind, const ConfigNode& slot) override {
+    return registry_->files(kind, slot);
+  }
   int threads() const override { return threads_; }
   void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
     pool_.run(count, body);

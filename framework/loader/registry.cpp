@@ -305,48 +305,71 @@ std::vector<ParamInfo> PluginRegistry::params(const PluginEntry& entry) const {
   return describe_params_erased(const_cast<Library*>(library.get()), visit_erased);
 }
 
-ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& slot) const {
+std::pair<std::string, PluginEntry> PluginRegistry::look_up(const std::string& kind, const ConfigNode& slot) const {
   ConfigNode given_name = slot;
-  ConfigNode params, version;
+  ConfigNode version;
   if (!slot.is_scalar()) {
     slot.refuse_unknown_keys({"plugin", "params", "version"});
     given_name = slot.at("plugin");
-    params = slot.find("params").value_or(ConfigNode());
     version = slot.find("version").value_or(ConfigNode());
   }
   std::string name = given_name.as_string();
   if (is_file_name(name)) name = fs::absolute(given_name.as_path()).lexically_normal().string();
-  const std::string where = given_name.where() + ": " + (given_name.path().empty() ? kind : given_name.path());
   PluginEntry entry;
   try {
     entry = find(name, kind);
   } catch (const PluginError& error) {
-    throw PluginError(where + ": " + error.what());
+    const std::string path = given_name.path().empty() ? kind : given_name.path();
+    throw PluginError(given_name.where() + ": " + path + ": " + error.what());
   }
   if (!version.is_null() && version.as_string() != entry.version) {
     throw PluginError(version.where() + ": " + version.path() + " = " + version.as_string() + ", but " +
                       entry.file.string() + " is " + name + " " + entry.version);
   }
+  return {std::move(name), std::move(entry)};
+}
+
+ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& slot) const {
+  const auto [name, entry] = look_up(kind, slot);
   const auto library = impl_->library(entry.file);
-  ConfigNode resolved = read_params_erased(params, const_cast<Library*>(library.get()), visit_erased);
-  for (const auto& info : this->params(entry)) {
-    if (!info.type.ends_with(" plugin")) continue;
-    ConfigNode nested = resolved;
-    for (std::size_t begin = 0; begin < info.name.size();) {
-      const auto end = std::min(info.name.find('.', begin), info.name.size());
-      nested = nested.at(info.name.substr(begin, end - begin));
-      begin = end + 1;
-    }
-    if (!nested.is_null()) {
-      resolved = resolved.with(info.name, resolve(info.type.substr(0, info.type.find(' ')), nested));
-    }
-  }
+  const ConfigNode resolved =
+      read_params_erased(place(slot, "params"), const_cast<Library*>(library.get()), visit_erased);
+  const ConfigNode params = resolve_slots(resolved, this->params(entry));
   {
     const std::lock_guard lock(impl_->mutex);
     impl_->used[entry.kind + "/" + entry.name] = entry;
   }
   // The name rather than the file, unless a file was asked for: a saved config then runs on another machine.
-  return ConfigNode::mapping({{"plugin", ConfigNode::quoted(name)}, {"params", resolved}});
+  return ConfigNode::mapping({{"plugin", ConfigNode::quoted(name)}, {"params", params}});
+}
+
+ConfigNode PluginRegistry::resolve_slots(const ConfigNode& config, const std::vector<ParamInfo>& params) const {
+  ConfigNode resolved = config;
+  for (const auto& info : params) {
+    if (info.kind != ParamKind::slot) continue;
+    const ConfigNode slot = place(config, info.name);
+    if (!slot.is_null()) resolved = resolved.with(info.name, resolve(info.slot, slot));
+  }
+  return resolved;
+}
+
+std::vector<ConfigNode> PluginRegistry::files(const ConfigNode& config, const std::vector<ParamInfo>& params) const {
+  std::vector<ConfigNode> own, nested;
+  for (const auto& info : params) {
+    const ConfigNode node = place(config, info.name);
+    if (node.is_null()) continue;
+    if (info.kind == ParamKind::slot) {
+      for (auto& file : files(info.slot, node)) nested.push_back(std::move(file));
+    } else if (info.kind == ParamKind::file || info.kind == ParamKind::file_or_mapping) {
+      if (node.is_scalar() && !node.as_string().empty()) own.push_back(node);
+    }
+  }
+  own.insert(own.end(), nested.begin(), nested.end());
+  return own;
+}
+
+std::vector<ConfigNode> PluginRegistry::files(const std::string& kind, const ConfigNode& slot) const {
+  return files(place(slot, "params"), params(look_up(kind, slot).second));
 }
 
 std::shared_ptr<void> PluginRegistry::create(const std::string& kind, const ConfigNode& slot, Host& host) const {

@@ -2,6 +2,7 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "weft/host.hpp"
@@ -36,6 +37,12 @@ class PluginRegistry {
   /// nothing.
   /// @throws ConfigError, PluginError.
   ConfigNode resolve(const std::string& kind, const ConfigNode& slot) const;
+  /// A config with every slot that `params` declare resolved, wherever it stands; a slot that is null stays null.
+  ConfigNode resolve_slots(const ConfigNode& config, const std::vector<ParamInfo>& params) const;
+  /// The nodes of a config that name files, in declared order: its own, then those of the plugins in its slots.
+  std::vector<ConfigNode> files(const ConfigNode& config, const std::vector<ParamInfo>& params) const;
+  /// The same of a slot: {plugin: NAME, params: {...}}, or a bare NAME.
+  std::vector<ConfigNode> files(const std::string& kind, const ConfigNode& slot) const;
   /// The object's deleter keeps the library loaded.
   std::shared_ptr<void> create(const std::string& kind, const ConfigNode& slot, Host& host) const;
   /// Names and versions of every plugin that a resolved config uses.
@@ -43,6 +50,8 @@ class PluginRegistry {
 
  private:
   struct Impl;
+  /// A slot's name, as a saved config holds it, and the entry that it leads to. @throws as resolve().
+  std::pair<std::string, PluginEntry> look_up(const std::string& kind, const ConfigNode& slot) const;
   std::unique_ptr<Impl> impl_;
 };
 

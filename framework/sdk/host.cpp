@@ -4,4 +4,6 @@ namespace weft {
 
 Host::~Host() = default;
 
+std::vector<ConfigNode> Host::files(const std::string&, const ConfigNode&) { return {}; }
+
 }  // namespace weft

@@ -24,81 +24,22 @@ std::string range_text(const Range& range) {
   return "a number";
 }
 
+/// "3 numbers (x, y, z)" of a list that must have three; "numbers" of one of any length.
+std::string entries_text(const Length& length, const char* what) {
+  if (length.count == 0) return what;
+  return std::to_string(length.count) + " " + what + (length.entries.empty() ? "" : " (" + length.entries + ")");
+}
+
+// Files that a config names are relative to it; a resolved config may be saved anywhere.
+std::filesystem::path resolved_path(const ConfigNode& node) {
+  return node.as_string().empty() ? std::filesystem::path() : std::filesystem::absolute(node.as_path());
+}
+
 /// Reads the fields from a mapping and builds the resolved mapping at the same time.
 class Reader final : public ParamVisitor {
  public:
   explicit Reader(const ConfigNode& node) { levels_.push_back({node, {}, {}, {}}); }
 
-  void operator()(const char* name, double& value, const Range& range, const char*) override {
-    if (const auto node = take(name)) value = checked(*node, node->as_double(), range);
-    keep(name, ConfigNode::number(value));
-  }
-  void operator()(const char* name, std::int64_t& value, const Range& range, const char*) override {
-    if (const auto node = take(name)) {
-      value = node->as_int();
-      checked(*node, static_cast<double>(value), range);
-    }
-    keep(name, ConfigNode::integer(value));
-  }
-  void operator()(const char* name, bool& value, const char*) override {
-    if (const auto node = take(name)) value = node->as_bool();
-    keep(name, ConfigNode::boolean(value));
-  }
-  void operator()(const char* name, std::string& value, const Choice& choice, const char*) override {
-    if (const auto node = take(name)) {
-      value = node->as_string();
-      if (std::find(choice.values.begin(), choice.values.end(), value) == choice.values.end()) {
-        node->fail("= " + shown(*node) + ", must be " + one_of(choice.values) + nearest_hint(value, choice.values));
-      }
-    }
-    keep(name, ConfigNode::quoted(value));
-  }
-  void operator()(const char* name, std::string& value, const char*) override {
-    if (const auto node = take(name)) value = node->as_string();
-    keep(name, ConfigNode::quoted(value));
-  }
-  void operator()(const char* name, std::vector<double>& value, const Range& range, const char*) override {
-    if (const auto node = take(name)) {
-      if (!node->is_sequence()) must_be(*node, "a list of numbers, each " + range_text(range));
-      value.clear();
-      for (std::size_t i = 0; i < node->size(); ++i)
-        value.push_back(checked((*node)[i], (*node)[i].as_double(), range));
-    }
-    std::vector<ConfigNode> items;
-    for (const double v : value) items.push_back(ConfigNode::number(v));
-    keep(name, ConfigNode::sequence(std::move(items)));
-  }
-  void operator()(const char* name, std::vector<std::string>& value, const char*) override {
-    if (const auto node = take(name)) {
-      if (!node->is_sequence()) must_be(*node, "a list of texts");
-      value.clear();
-      for (std::size_t i = 0; i < node->size(); ++i) value.push_back((*node)[i].as_string());
-    }
-    std::vector<ConfigNode> items;
-    for (const auto& v : value) items.push_back(ConfigNode::quoted(v));
-    keep(name, ConfigNode::sequence(std::move(items)));
-  }
-  void operator()(const char* name, ConfigNode& value, const PluginSlot&, const char*) override {
-    take_node(name, value);
-  }
-  void operator()(const char* name, ConfigNode& value, const char*) override { take_node(name, value); }
-  void operator()(const char* name, std::filesystem::path& value, const char*) override {
-    if (const auto node = take(name)) {
-      value = node->as_string().empty() ? std::filesystem::path() : std::filesystem::absolute(node->as_path());
-    }
-    keep(name, ConfigNode::quoted(value.string()));
-  }
-  void begin_group(const char* name, const char*) override {
-    auto node = take(name).value_or(ConfigNode());
-    if (!node.is_null() && !node.is_mapping()) must_be(node, "a mapping");
-    levels_.push_back({std::move(node), name, {}, {}});
-  }
-  void end_group() override {
-    ConfigNode resolved = finish();
-    const std::string name = levels_.back().name;
-    levels_.pop_back();
-    keep(name, std::move(resolved));
-  }
   /// Refuses leftovers. @return the resolved mapping of the innermost level.
   ConfigNode finish() {
     levels_.back().node.refuse_unknown_keys(levels_.back().known);
@@ -113,6 +54,22 @@ class Reader final : public ParamVisitor {
     std::vector<std::pair<std::string, ConfigNode>> resolved;
   };
 
+  void visit(const Declaration& declared, const ParamValue& value) override {
+    const auto node = take(declared.name);
+    keep(declared.name, std::visit([&](auto* field) { return read(declared, node, *field); }, value));
+  }
+  void begin_group(const char* name, const char*) override {
+    auto node = take(name).value_or(ConfigNode());
+    if (!node.is_null() && !node.is_mapping()) must_be(node, "a mapping");
+    levels_.push_back({std::move(node), name, {}, {}});
+  }
+  void end_group() override {
+    ConfigNode resolved = finish();
+    const std::string name = levels_.back().name;
+    levels_.pop_back();
+    keep(name, std::move(resolved));
+  }
+
   // A key that is absent, or given as null, keeps its default.
   std::optional<ConfigNode> take(const char* name) {
     levels_.back().known.emplace_back(name);
@@ -120,11 +77,72 @@ class Reader final : public ParamVisitor {
     if (node && node->is_null()) return std::nullopt;
     return node;
   }
-  void take_node(const char* name, ConfigNode& value) {
-    if (const auto node = take(name)) value = *node;
-    keep(name, value);
-  }
   void keep(const std::string& name, ConfigNode value) { levels_.back().resolved.emplace_back(name, std::move(value)); }
+
+  // Each sets the field when the key is given, and returns the field's value as a node.
+  using Given = std::optional<ConfigNode>;
+  static ConfigNode read(const Declaration& declared, const Given& node, double& value) {
+    if (node) value = checked(*node, node->as_double(), declared.range);
+    return ConfigNode::number(value);
+  }
+  static ConfigNode read(const Declaration& declared, const Given& node, std::int64_t& value) {
+    if (node) {
+      value = node->as_int();
+      checked(*node, static_cast<double>(value), declared.range);
+    }
+    return ConfigNode::integer(value);
+  }
+  static ConfigNode read(const Declaration&, const Given& node, bool& value) {
+    if (node) value = node->as_bool();
+    return ConfigNode::boolean(value);
+  }
+  static ConfigNode read(const Declaration& declared, const Given& node, std::string& value) {
+    if (node) {
+      value = node->as_string();
+      const auto& allowed = declared.choice.values;
+      if (!allowed.empty() && std::find(allowed.begin(), allowed.end(), value) == allowed.end())
+        node->fail("= " + shown(*node) + ", must be " + one_of(allowed) + nearest_hint(value, allowed));
+    }
+    return ConfigNode::quoted(value);
+  }
+  static ConfigNode read(const Declaration& declared, const Given& node, std::vector<double>& value) {
+    if (node) {
+      check_list(declared, *node, value.empty(), "numbers", ", each " + range_text(declared.range));
+      value.clear();
+      for (std::size_t i = 0; i < node->size(); ++i)
+        value.push_back(checked((*node)[i], (*node)[i].as_double(), declared.range));
+    }
+    std::vector<ConfigNode> items;
+    for (const double v : value) items.push_back(ConfigNode::number(v));
+    return ConfigNode::sequence(std::move(items));
+  }
+  static ConfigNode read(const Declaration& declared, const Given& node, std::vector<std::string>& value) {
+    if (node) {
+      check_list(declared, *node, value.empty(), "texts", "");
+      value.clear();
+      for (std::size_t i = 0; i < node->size(); ++i) value.push_back((*node)[i].as_string());
+    }
+    std::vector<ConfigNode> items;
+    for (const auto& v : value) items.push_back(ConfigNode::quoted(v));
+    return ConfigNode::sequence(std::move(items));
+  }
+  static ConfigNode read(const Declaration& declared, const Given& node, ConfigNode& value) {
+    if (node) value = *node;
+    if (declared.is_file_or_mapping && value.is_scalar()) return ConfigNode::quoted(resolved_path(value).string());
+    return value;
+  }
+  static ConfigNode read(const Declaration&, const Given& node, std::filesystem::path& value) {
+    if (node) value = resolved_path(*node);
+    return ConfigNode::quoted(value.string());
+  }
+
+  /// @param may_be_empty the default is empty: an empty list says the same as none.
+  static void check_list(const Declaration& declared, const ConfigNode& node, bool may_be_empty, const char* what,
+                         const std::string& each) {
+    const std::size_t count = declared.length.count;
+    const bool fits = count == 0 || node.size() == count || (may_be_empty && node.size() == 0);
+    if (!node.is_sequence() || !fits) must_be(node, "a list of " + entries_text(declared.length, what) + each);
+  }
   static double checked(const ConfigNode& node, double value, const Range& range) {
     if (!(value >= range.lower && value <= range.upper)) {
       must_be(node, range_text(range) + (range.unit.empty() ? "" : " " + range.unit));
@@ -138,40 +156,20 @@ class Reader final : public ParamVisitor {
 /// Collects the declarations.
 class Describer final : public ParamVisitor {
  public:
-  void operator()(const char* name, double& value, const Range& range, const char* text) override {
-    add(name, "number", range.unit, range_text(range), number_text(value), text);
-  }
-  void operator()(const char* name, std::int64_t& value, const Range& range, const char* text) override {
-    add(name, "integer", range.unit, range_text(range), std::to_string(value), text);
-  }
-  void operator()(const char* name, bool& value, const char* text) override {
-    add(name, "bool", "", "true or false", value ? "true" : "false", text);
-  }
-  void operator()(const char* name, std::string& value, const Choice& choice, const char* text) override {
-    add(name, "text", "", one_of(choice.values), value, text);
-  }
-  void operator()(const char* name, std::string& value, const char* text) override {
-    add(name, "text", "", "", value, text);
-  }
-  void operator()(const char* name, std::vector<double>& value, const Range& range, const char* text) override {
-    std::string shown;
-    for (const double v : value) shown += (shown.empty() ? "" : ", ") + number_text(v);
-    add(name, "list of numbers", range.unit, range_text(range), "[" + shown + "]", text);
-  }
-  void operator()(const char* name, std::vector<std::string>& value, const char* text) override {
-    std::string shown;
-    for (const auto& v : value) shown += (shown.empty() ? "" : ", ") + v;
-    add(name, "list of texts", "", "", "[" + shown + "]", text);
-  }
-  void operator()(const char* name, ConfigNode& value, const PluginSlot& slot, const char* text) override {
-    const auto plugin = value.is_mapping() ? value.find("plugin") : std::nullopt;
-    add(name, slot.kind + " plugin", "", "{plugin, params}", plugin ? plugin->as_string() : "", text);
-  }
-  void operator()(const char* name, ConfigNode& value, const char* text) override {
-    add(name, "mapping", "", "", value.is_null() ? "" : "given", text);
-  }
-  void operator()(const char* name, std::filesystem::path& value, const char* text) override {
-    add(name, "file", "", "", value.string(), text);
+  std::vector<ParamInfo> take() { return std::move(infos_); }
+
+ private:
+  void visit(const Declaration& declared, const ParamValue& value) override {
+    ParamInfo info;
+    info.name = prefix_ + declared.name;
+    info.unit = declared.range.unit;
+    info.text = declared.text;
+    info.slot = declared.slot.kind;
+    info.choices = declared.choice.values;
+    info.length = declared.length;
+    info.decides = declared.decides;
+    std::visit([&](const auto* field) { show(declared, *field, info); }, value);
+    infos_.push_back(std::move(info));
   }
   void begin_group(const char* name, const char*) override { prefix_ += std::string(name) + "."; }
   void end_group() override {
@@ -179,18 +177,70 @@ class Describer final : public ParamVisitor {
     const auto dot = prefix_.rfind('.');
     prefix_.resize(dot == std::string::npos ? 0 : dot + 1);
   }
-  std::vector<ParamInfo> take() { return std::move(infos_); }
 
- private:
-  void add(const char* name, std::string type, std::string unit, std::string range, std::string value,
-           const char* text) {
-    infos_.push_back({prefix_ + name, std::move(type), std::move(unit), std::move(range), std::move(value), text});
+  static void set(ParamInfo& info, ParamKind kind, std::string type, std::string range, std::string value) {
+    info.kind = kind;
+    info.type = std::move(type);
+    info.range = std::move(range);
+    info.default_value = std::move(value);
   }
+  static void show(const Declaration& declared, double value, ParamInfo& info) {
+    set(info, ParamKind::number, "number", range_text(declared.range), number_text(value));
+  }
+  static void show(const Declaration& declared, std::int64_t value, ParamInfo& info) {
+    set(info, ParamKind::integer, "integer", range_text(declared.range), std::to_string(value));
+  }
+  static void show(const Declaration&, bool value, ParamInfo& info) {
+    set(info, ParamKind::boolean, "bool", "true or false", value ? "true" : "false");
+  }
+  static void show(const Declaration& declared, const std::string& value, ParamInfo& info) {
+    if (declared.choice.values.empty())
+      set(info, ParamKind::text, "text", "", value);
+    else
+      set(info, ParamKind::choice, "text", one_of(declared.choice.values), value);
+  }
+  static void show(const Declaration& declared, const std::vector<double>& value, ParamInfo& info) {
+    std::string shown;
+    for (const double v : value) shown += (shown.empty() ? "" : ", ") + number_text(v);
+    set(info, ParamKind::numbers, "list of " + entries_text(declared.length, "numbers"), range_text(declared.range),
+        "[" + shown + "]");
+  }
+  static void show(const Declaration& declared, const std::vector<std::string>& value, ParamInfo& info) {
+    std::string shown;
+    for (const auto& v : value) shown += (shown.empty() ? "" : ", ") + v;
+    set(info, ParamKind::texts, "list of " + entries_text(declared.length, "texts"), "", "[" + shown + "]");
+  }
+  static void show(const Declaration& declared, const ConfigNode& value, ParamInfo& info) {
+    const auto plugin = value.is_mapping() ? value.find("plugin") : std::nullopt;
+    const std::string given = value.is_null() ? "" : "given";
+    if (!declared.slot.kind.empty())
+      set(info, ParamKind::slot, declared.slot.kind + " plugin", "{plugin, params}", plugin ? plugin->as_string() : "");
+    else if (declared.is_file_or_mapping)
+      set(info, ParamKind::file_or_mapping, "file or mapping", "", given);
+    else
+      set(info, ParamKind::node, "mapping", "", given);
+  }
+  static void show(const Declaration&, const std::filesystem::path& value, ParamInfo& info) {
+    set(info, ParamKind::file, "file", "", value.string());
+  }
+
   std::string prefix_;
   std::vector<ParamInfo> infos_;
 };
 
 }  // namespace
+
+std::string to_string(Decides decides) {
+  switch (decides) {
+    case Decides::results:
+      return "results";
+    case Decides::examples:
+      return "examples";
+    case Decides::nothing:
+      return "nothing";
+  }
+  return "";
+}
 
 ConfigNode read_params_erased(const ConfigNode& node, void* params, ParamVisit visit) {
   if (!node.is_null() && !node.is_mapping()) must_be(node, "a mapping of parameters");
@@ -213,6 +263,52 @@ std::string params_markdown(const std::vector<ParamInfo>& params) {
         << " | " << p.text << " |\n";
   }
   return out.str();
+}
+
+const ParamInfo& param_named(const std::vector<ParamInfo>& params, std::string_view name) {
+  std::vector<std::string> names;
+  for (const auto& info : params) {
+    if (info.name == name) return info;
+    names.push_back(info.name);
+  }
+  throw ConfigError(std::string(name) + " is not a known key" + nearest_hint(name, names));
+}
+
+namespace {
+
+/// @param prefix of the keys of `node`: empty, or a group's name and a dot.
+ConfigNode keep_below(const ConfigNode& node, const std::string& prefix, const std::vector<ParamInfo>& params,
+                      const std::function<bool(const ParamInfo&)>& keep) {
+  ConfigNode kept = node;
+  for (const auto& key : node.keys()) {
+    const std::string name = prefix + key, inside = name + ".";
+    const auto declared =
+        std::find_if(params.begin(), params.end(), [&](const ParamInfo& info) { return info.name == name; });
+    bool stays = declared != params.end() && keep(*declared);
+    if (declared == params.end()) {
+      // A group: it stays with what stays of it. One that is given as null holds all of its defaults.
+      const ConfigNode group = node.at(key);
+      std::vector<ParamInfo> members;
+      std::copy_if(params.begin(), params.end(), std::back_inserter(members),
+                   [&](const ParamInfo& info) { return info.name.starts_with(inside); });
+      if (group.is_mapping() && !members.empty()) {
+        const ConfigNode rest = keep_below(group, inside, members, keep);
+        stays = group.size() > 0 ? rest.size() > 0 : std::any_of(members.begin(), members.end(), keep);
+        if (stays) kept = kept.with(key, rest);
+      } else {
+        stays = std::any_of(members.begin(), members.end(), keep);
+      }
+    }
+    if (!stays) kept = kept.without(key);
+  }
+  return kept;
+}
+
+}  // namespace
+
+ConfigNode keep_params(const ConfigNode& config, const std::vector<ParamInfo>& params,
+                       const std::function<bool(const ParamInfo&)>& keep) {
+  return keep_below(config, "", params, keep);
 }
 
 }  // namespace weft

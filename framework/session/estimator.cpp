@@ -356,8 +356,7 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
     throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
   }
   if (!params_.deviation_scale.empty()) {
-    if (params_.deviation_scale.size() != 4)
-      throw ConfigError("estimation.deviation_scale must be a list of 4 numbers: friction, bend, stretch, thickness");
+    require_shape("estimation: deviation_scale", static_cast<Index>(params_.deviation_scale.size()), 4);
     deviation_scale_ = Eigen::Map<const Eigen::Vector4d>(params_.deviation_scale.data());
   }
 }

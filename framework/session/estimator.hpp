@@ -8,6 +8,7 @@
 #include "session/material_posterior.hpp"
 #include "session/observation.hpp"
 #include "session/search_end.hpp"
+#include "simulation/task_config.hpp"
 #include "weft/host.hpp"
 #include "weft/optimiser.hpp"
 #include "weft/params.hpp"
@@ -57,8 +58,9 @@ struct EstimatorParams {
     v("difference_step", difference_step, range(1e-6, 0.5),
       "posterior: step of the differences that give its precision.");
     v("deviation_scale", deviation_scale, range(1e-3, 1e3),
-      "posterior: factors on its standard deviations, [friction, bend, stretch, thickness]; default 1. `weft evaluate "
-      "estimation` reports those that calibrate it.");
+      "posterior: factors on its standard deviations; default 1. `weft evaluate estimation` reports those that "
+      "calibrate it.",
+      property_list());
   }
 };
 
@@ -103,8 +105,8 @@ struct Estimate {
 /// precision of Gauss-Newton), and (c, w) is the interval that stands for it (interval_of).
 class Estimator {
  public:
-  /// @throws Unsupported when the optimiser needs gradients that the predictor lacks; ConfigError for deviation_scale
-  /// of the wrong length.
+  /// @throws Unsupported when the optimiser needs gradients that the predictor lacks; ShapeError for a
+  /// deviation_scale of the wrong length.
   Estimator(const Task& task, std::shared_ptr<const Predictor> predictor, std::shared_ptr<const Optimiser> optimiser,
             const EstimatorParams& params, Host& host);
   /// Without segments, or with nothing observed, the answer is "no knowledge".

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "simulation/random_controls.hpp"
+#include "simulation/task_config.hpp"
 #include "weft/host.hpp"
 #include "weft/params.hpp"
 #include "weft/task.hpp"
@@ -38,11 +39,11 @@ struct GoalParams {
     v("controls", controls, "Controls to simulate: a list of rows, or one row repeated until release.");
     v.group("random", random, "A random trajectory's result; used when nothing else is given.");
     v("material", material, range(0, 1),
-      "Material under which controls are simulated; default: the true one; where nobody knows it, 0.5 of each.");
+      "Material under which controls are simulated; default: the true one; where nobody knows it, 0.5 of each.",
+      property_list());
     v("horizon", horizon, range(1, 200, "segments"),
       "Longest trajectory of a simulated goal and of the default control; apart from planning.horizon, so that "
-      "planners "
-      "with another one get the same goal.");
+      "planners with another one get the same goal.");
   }
 };
 

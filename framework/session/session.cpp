@@ -130,16 +130,6 @@ Task session_task(const SessionParams& params, const ConfigNode& origin, Host& h
 }
 
 void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task) {
-  const std::pair<const char*, const std::vector<double>*> lists[] = {
-      {"true_material", &params.true_material},
-      {"given_centre", &params.given_centre},
-      {"given_width", &params.given_width},
-      {"goal.material", &params.goal.material},
-      {"estimation.deviation_scale", &params.estimation.deviation_scale}};
-  for (const auto& [key, values] : lists) {
-    if (!values->empty() && values->size() != 4)
-      must_be(place(origin, key), "a list of 4 numbers: friction, bend, stretch, thickness");
-  }
   if (params.knowledge == "given" && (params.given_centre.empty() || params.given_width.empty()))
     place(origin, "knowledge").fail("= given, which needs given_centre and given_width, lists of 4 numbers in [0, 1]");
   vertex_weights(params.planning, task.garment->vertex_count(), origin);
@@ -148,11 +138,8 @@ void check_session(const SessionParams& params, const ConfigNode& origin, const 
 std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host) {
   if (slot.is_null()) must_be(slot, "a predictor plugin, such as {plugin: rollout}");
   const auto predictor = host.create<Predictor>(slot);
-  ConfigNode blamed = slot;
-  for (const char* file : {"params.model", "params.module"}) {
-    if (const ConfigNode given = place(slot, file); !given.is_null()) blamed = given;
-  }
-  blaming(blamed, [&] { predictor->bind(task); });
+  const auto files = host.files(Predictor::kKind, slot);
+  blaming(files.empty() ? slot : files.front(), [&] { predictor->bind(task); });
   return predictor;
 }
 

@@ -58,11 +58,11 @@ struct SessionParams {
 
   template <class Visitor>
   void visit(Visitor& v) {
-    v("description", description, "What this task is, for people.");
-    v("seed", seed, range(0, 9e18), "Seed of everything random.");
-    v("threads", threads, range(0, 1024), "Worker threads; 0: all cores.");
-    v("plugin_path", plugin_path, "Folders searched for plugins first.");
-    task.visit(v);
+    v("description", description, "What this task is, for people.", Decides::nothing);
+    v("seed", seed, range(0, 9e18), "Seed of everything random.", Decides::examples);
+    v("threads", threads, range(0, 1024), "Worker threads; 0: all cores.", Decides::nothing);
+    v("plugin_path", plugin_path, "Folders searched for plugins first.", Decides::nothing);
+    v.part(task, Decides::examples);
     v("predictor", predictor, PluginSlot{"predictor"}, "Predictor plugin that plans are made with.");
     v("optimiser", optimiser, PluginSlot{"optimiser"}, "Optimiser plugin.");
     v("estimation_optimiser", estimation_optimiser, PluginSlot{"optimiser"}, "Optimiser plugin of the estimates.");
@@ -73,12 +73,12 @@ struct SessionParams {
     v.group("observation", observation, "What is seen of the cloth.");
     v.group("goal", goal, "The shape to reach.");
     v("true_material", true_material, range(0, 1),
-      "q of the executed fold, [friction, bend, stretch, thickness]; default: drawn from the seed, or, where a process "
-      "executes it, unknown.");
+      "q of the executed fold; default: drawn from the seed, or, where a process executes it, unknown.",
+      property_list());
     v("knowledge", knowledge, choice({"none", "true", "given", "drawn", "estimate"}),
       "What the planner knows of the material; estimate: what the session has shown so far.");
-    v("given_centre", given_centre, range(0, 1), "knowledge: given: c, [4].");
-    v("given_width", given_width, range(0, 1), "knowledge: given: w, [4].");
+    v("given_centre", given_centre, range(0, 1), "knowledge: given: c.", property_list());
+    v("given_width", given_width, range(0, 1), "knowledge: given: w.", property_list());
     v("drawn_width", drawn_width, range(0, 1),
       "knowledge: drawn: w of all properties; c is drawn uniformly from [q - w/2, q + w/2] (section 4).");
     v("knowledge_lag", knowledge_lag, range(0, 1000, "segments"),
@@ -90,7 +90,7 @@ struct SessionParams {
   }
 };
 
-/// Refuses what read_params() cannot see: lists of a wrong length, missing ones, vertices that the garment lacks.
+/// Refuses what read_params() cannot see: lists that are missing, vertices that the garment lacks.
 /// @param origin what params were read from. @throws ConfigError.
 void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task);
 

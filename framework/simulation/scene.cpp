@@ -134,13 +134,6 @@ void check_capabilities(const SceneRun& run, const SimulatorCapabilities& capabi
   if (!run.scene.pins.empty() && !capabilities.pins) {
     throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
   }
-  const bool is_orthotropic = run.fabric.stretch_warp_n_per_m != run.fabric.stretch_weft_n_per_m ||
-                              run.fabric.bend_warp_n_m != run.fabric.bend_weft_n_m || run.fabric.tables != nullptr;
-  if (is_orthotropic && !capabilities.orthotropic) {
-    add_warning(
-        result,
-        "the fabric differs between warp and weft, which this simulator does not declare (capability orthotropic)");
-  }
   if (run.scene.ground_height && run.fabric.friction > 0.0 && !capabilities.ground_friction) {
     add_warning(result,
                 "the fabric has ground friction, which this simulator does not declare (capability ground_friction)");

@@ -6,6 +6,12 @@
 
 namespace weft {
 
+Length property_list() {
+  std::string entries;
+  for (const char* name : kPropertyNames) entries += (entries.empty() ? "" : ", ") + std::string(name);
+  return {kPropertyNames.size(), entries};
+}
+
 Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   Task task;
   task.garment =
@@ -14,8 +20,7 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   task.trajectory = host.create<Trajectory>(params.trajectory);
   task.simulator = params.simulator;
   task.settle = {params.settle.speed_m_per_s, params.settle.hold_frames, params.settle.max_frames};
-  if (params.scene.gravity_m_per_s2.size() != 3)
-    must_be(place(origin, "scene.gravity_m_per_s2"), "a list of 3 numbers, m/s^2");
+  require_shape("task: gravity", static_cast<Index>(params.scene.gravity_m_per_s2.size()), 3);
   task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
 
   auto& manipulation = task.manipulation;
@@ -32,7 +37,8 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   }
   const ConfigNode displacement = place(origin, "manipulation.displacement_m");
   const std::string remedy = "; it gives the direction of the fold, and `weft displacement` tunes its length";
-  if (params.manipulation.displacement_m.size() != 2) must_be(displacement, "a list of 2 numbers, m" + remedy);
+  if (params.manipulation.displacement_m.empty()) must_be(displacement, "a list of 2 numbers, m" + remedy);
+  require_shape("task: displacement", static_cast<Index>(params.manipulation.displacement_m.size()), 2);
   manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
   manipulation.drop_height = params.manipulation.drop_height_m;
   // One path for every fabric: the targets clear the ground under the thickest one.

@@ -5,6 +5,9 @@
 
 namespace weft {
 
+/// Length of a list with a number for each material property.
+Length property_list();
+
 /// What a task file says about the cloth, the hands and the world; shared by every command. The rest of a task file
 /// (planning, goal, ...) belongs to the command that reads it.
 struct TaskParams {
@@ -20,7 +23,7 @@ struct TaskParams {
     void visit(Visitor& v) {
       v("grasp", grasp, "The two named vertices that the hands hold: the paper's g_0.");
       v("displacement_m", displacement_m, range(-10, 10, "m"),
-        "d, [x, y]: displacement of the grasp points' midpoint; `weft displacement` tunes its length.");
+        "d: displacement of the grasp points' midpoint; `weft displacement` tunes its length.", Length{2, "x, y"});
       v("drop_height_m", drop_height_m, range(0, 1, "m"),
         "h: height of the grasp points above contact at 180 degrees.");
     }
@@ -29,7 +32,7 @@ struct TaskParams {
     std::vector<double> gravity_m_per_s2 = {0.0, 0.0, -9.81};
     template <class Visitor>
     void visit(Visitor& v) {
-      v("gravity_m_per_s2", gravity_m_per_s2, range(-100, 100, "m/s^2"), "Gravity, [x, y, z].");
+      v("gravity_m_per_s2", gravity_m_per_s2, range(-100, 100, "m/s^2"), "Gravity.", Length{3, "x, y, z"});
     }
   } scene;
   struct Settle {
@@ -46,8 +49,8 @@ struct TaskParams {
 
   template <class Visitor>
   void visit(Visitor& v) {
-    v("garment", garment, "Garment file or mapping.");
-    v("material", material, "Material space file or mapping: the fabric that each normalised property stands for.");
+    v("garment", garment, "The cloth: mesh and named vertices.", FileOrMapping{});
+    v("material", material, "Material space: the fabric that each normalised property stands for.", FileOrMapping{});
     v("simulator", simulator, PluginSlot{"simulator"}, "Simulator plugin of the executed fold.");
     v("trajectory", trajectory, PluginSlot{"trajectory"}, "Trajectory plugin.");
     v.group("manipulation", manipulation, "What the hands hold and where they bring it.");

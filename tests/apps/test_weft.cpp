@@ -1,7 +1,10 @@
 #include <algorithm>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "experiments/ablation.hpp"
+#include "loader/registry.hpp"
+#include "session/session.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 #include "weft/hdf5_file.hpp"
@@ -138,7 +141,13 @@ TEST(Program, ASavedConfigRepeatsTheRunBitForBit) {
     ASSERT_EQ(outcome.code, 0) << outcome.output;
   };
   run(task, "first", "--seed 12 --jobs 2 --set planning.iterations=3");
+  // The saved config holds every default, also of plugins in groups.
+  const ConfigNode saved = ConfigNode::load(folder / "first/config.yaml");
+  const PluginRegistry plugins;
+  EXPECT_EQ(plugins.resolve_slots(saved, describe_params<SessionParams>()).to_yaml(), saved.to_yaml());
+  EXPECT_TRUE(saved.at("refinement").at("predictor").at("params").has("carry_velocity"));
   run(folder / "first/config.yaml", "again", "--jobs 1");
+  EXPECT_EQ(text_of(folder / "again/config.yaml"), text_of(folder / "first/config.yaml"));
   const auto first = Hdf5File::open(folder / "first/session.h5"), again = Hdf5File::open(folder / "again/session.h5");
   const auto rounds = first.list("/rounds");
   ASSERT_GE(rounds.size(), 2u);
@@ -374,6 +383,20 @@ TEST(Program, DescribeShowsParametersWithUnitsRangesAndDefaults) {
   }
   EXPECT_TRUE(found);
   EXPECT_THAT(weft_command("describe arc --markdown").output, StartsWith("| parameter | type |"));
+  EXPECT_THAT(weft_command("describe ablation").output, HasSubstr("resamples"));
+  const auto experiment = nlohmann::json::parse(weft_command("describe experiment --json 2>/dev/null").output);
+  std::map<std::string, nlohmann::json> keys;
+  for (const auto& key : experiment.at("params")) keys[key.at("name")] = key;
+  EXPECT_EQ(keys["estimation.deviation_scale"].at("length"), 4);
+  EXPECT_EQ(keys["refinement.predictor"].at("slot"), "predictor");
+  EXPECT_EQ(keys["estimation.method"].at("choices").size(), 3u);
+  // Of the task, and of how examples are made: what a dataset's identity is made of.
+  for (const char* name : {"seed", "garment", "settle.max_frames", "trajectory", "data.jitter"})
+    EXPECT_EQ(keys[name].at("decides"), "examples") << name;
+  for (const char* name : {"planning.iterations", "goal.horizon", "predictor", "dataset"})
+    EXPECT_EQ(keys[name].at("decides"), "results") << name;
+  for (const char* name : {"description", "threads", "plugin_path"})
+    EXPECT_EQ(keys[name].at("decides"), "nothing") << name;
   const Outcome unknown = weft_command("describe ark");
   EXPECT_EQ(unknown.code, 2);
   EXPECT_THAT(unknown.output,

@@ -102,6 +102,18 @@ if(NOT error LESS default_error)
   message(FATAL_ERROR "the plan is predicted to end ${error} mm off the goal, the default control ${default_error} mm")
 endif()
 
+# A shipped task with a simulator that has one stiffness for warp and weft: its fabric is refused, with the key, ...
+set(configs ${WORK}/prefix/share/weft/configs)
+set(task ${configs}/tasks/towel_fold.yaml --set simulator.plugin=mass_spring
+    --set garment=${configs}/garments/towel_coarse.yaml --set planning.instances=1 --set planning.iterations=1
+    --set planning.replan_iterations=1 --out ${WORK}/shipped)
+execute_process(COMMAND ${weft} run ${task} RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE output)
+if(NOT code EQUAL 2 OR NOT output MATCHES "mass_spring: fabric.stretch_n_per_m = {warp: .*must be equal")
+  message(FATAL_ERROR "exit code ${code}, where a fabric with warp != weft had to be refused:\n${output}")
+endif()
+# ... and it runs on the material that has both equal.
+run(${weft} run ${task} --set material=${configs}/fabrics/basic_isotropic.yaml)
+
 # And installed beside weft's own, without the variable.
 unset(ENV{WEFT_PLUGIN_PATH})
 run(${CMAKE_COMMAND} --install ${WORK}/build --prefix ${WORK}/prefix)

@@ -10,10 +10,13 @@
 #include <set>
 
 // Compiled in, so that the parts can be reached (with -march as the plugin).
+#include "meshes/intersections.hpp"
 #include "simulator/cloth/cloth.cpp"
 #include "simulator/cloth/contact.cpp"
+#include "simulator/cloth/contact_search.cpp"
 #include "simulator/cloth/elements.cpp"
 #include "simulator/cloth/mass_scaling.cpp"
+#include "simulator/cloth/patches.cpp"
 #include "simulator/cloth/stability.cpp"
 #include "simulator/cloth/topology.cpp"
 #include "unit/test_support.hpp"
@@ -562,9 +565,9 @@ TEST(ClothContact, EveryPairWithinItsDistanceIsACandidateThoughFewVerticesAreSea
       fixed[i] = to_fixed(load(x[i]), per_unit);
     }
   };
-  const auto known = [&](const SelfContact::Pairs& pairs) {
+  const auto known = [&](const Pairs& pairs) {
     std::set<std::array<std::int32_t, 4>> set;
-    for (const SelfContact::Candidate& c : pairs.candidate) set.insert({c.v[0], c.v[1], c.v[2], c.v[3]});
+    for (const Candidate& c : pairs.candidate) set.insert({c.v[0], c.v[1], c.v[2], c.v[3]});
     EXPECT_EQ(set.size(), pairs.size()) << "a pair is listed twice";
     return set;
   };
@@ -663,7 +666,7 @@ TEST(ClothContact, WhatWasFlatIsSearchedWholeOnceItIsFlatNoMore) {
   state.valid = false;
   search();
   EXPECT_GT(state.elapsed, 0.0) << "all were searched for";
-  const auto across = [&](const SelfContact::Candidate& c) { return c.v[0] % 21 == 9 && c.v[1] % 21 > 10; };
+  const auto across = [&](const Candidate& c) { return c.v[0] % 21 == 9 && c.v[1] % 21 > 10; };
   EXPECT_GE(std::count_if(state.vertex_triangle.candidate.begin(), state.vertex_triangle.candidate.end(), across), 12);
 }
 

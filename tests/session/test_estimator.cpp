@@ -300,7 +300,7 @@ TEST(Estimator, ReportedScalesWidenWhatTheyName) {
   EXPECT_NEAR(after.width(0), 2 * before.width(0), 0.2 * before.width(0));
   EXPECT_NEAR(after.width(1), before.width(1), 0.1 * before.width(1));
   bench.params.deviation_scale = {2.0};
-  EXPECT_THROW(bench.estimator(), ConfigError);
+  EXPECT_THROW(bench.estimator(), ShapeError);
 }
 
 TEST(Estimator, UsesOnlyTheVerticesThatAreSeen) {

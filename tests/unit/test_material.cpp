@@ -226,6 +226,25 @@ TEST(MaterialSpace, BasicMaterialIsAnisotropicAndSpansItsRanges) {
   EXPECT_EQ(space.at(q).stretch_warp_n_per_m, space.at(MaterialProperties::Constant(0.5)).stretch_warp_n_per_m);
 }
 
+TEST(MaterialSpace, BasicIsotropicIsBasicWithEqualWarpAndWeft) {
+  const MaterialSpace basic = read_material_space(ConfigNode::scalar((kFabrics / "basic.yaml").string()));
+  const MaterialSpace space = read_material_space(ConfigNode::scalar((kFabrics / "basic_isotropic.yaml").string()));
+  const Fabric &from = basic.nominal, &to = space.nominal;
+  EXPECT_EQ(to.stretch_warp_n_per_m, 0.5 * (from.stretch_warp_n_per_m + from.stretch_weft_n_per_m));
+  EXPECT_EQ(to.stretch_weft_n_per_m, to.stretch_warp_n_per_m);
+  EXPECT_DOUBLE_EQ(to.bend_warp_n_m, 0.5 * (from.bend_warp_n_m + from.bend_weft_n_m));
+  EXPECT_EQ(to.bend_weft_n_m, to.bend_warp_n_m);
+  EXPECT_EQ(to.damping_bend_s, from.damping_bend_s);
+  for (std::size_t k = 0; k < space.ranges.size(); ++k) {
+    EXPECT_EQ(space.ranges[k].low, basic.ranges[k].low);
+    EXPECT_EQ(space.ranges[k].high, basic.ranges[k].high);
+  }
+  // The equality outlasts the multipliers, so that a simulator that asks for it takes the whole range.
+  const Fabric high = space.at(MaterialProperties::Constant(0.83));
+  EXPECT_EQ(high.stretch_warp_n_per_m, high.stretch_weft_n_per_m);
+  EXPECT_EQ(high.bend_warp_n_m, high.bend_weft_n_m);
+}
+
 TEST(MaterialSpace, RefusesPropertiesOutsideZeroToOne) {
   const MaterialSpace space = read_material_space(ConfigNode::scalar((kFabrics / "basic.yaml").string()));
   MaterialProperties q = MaterialProperties::Constant(0.5);

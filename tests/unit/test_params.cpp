@@ -161,6 +161,123 @@ TEST(Params, DescribeTellsNameTypeUnitRangeDefaultAndText) {
   EXPECT_EQ(row(12), "solver.iterations|integer||in [1, 1000]|20|At most so many.");
 }
 
+// A config such as a task: what the tests below expect of its keys follows from these declarations alone.
+struct Cloth {
+  ConfigNode mesh;
+  std::vector<double> wind = {1.0, 0.0};
+  std::string author;
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("mesh", mesh, "The cloth.", FileOrMapping{});
+    v("wind", wind, range(-10, 10, "m/s"), "Of the room.", Length{2, "x, y"});
+    v("author", author, "For people.", Decides::nothing);
+  }
+};
+struct Experiment {
+  Cloth cloth;
+  std::vector<double> weights;
+  std::vector<std::string> corners = {"a", "b"};
+  std::filesystem::path model;
+  std::string method = "fast";
+  std::int64_t threads = 0;
+  struct Inner {
+    ConfigNode mover;
+    std::filesystem::path start;
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("mover", mover, PluginSlot{"trajectory"}, "What moves.");
+      v("start", start, "Where it begins.", Decides::results);
+    }
+  } inner;
+  Solver solver;
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("threads", threads, range(0, 8), "At work.", Decides::nothing);
+    v.part(cloth, Decides::examples);
+    v("weights", weights, range(0, 1), "One per corner.", Length{3});
+    v("corners", corners, "Their names.", Length{2}, Decides::examples);
+    v("model", model, "What was learned.");
+    v("method", method, choice({"fast", "slow"}), "How.");
+    v.group("inner", inner, "Inside.", Decides::examples);
+    v.group("solver", solver, "Solver.");
+  }
+};
+
+TEST(Params, ListsHaveTheLengthThatIsDeclared) {
+  const auto refused = [](const std::string& text) {
+    return message_of<ConfigError>([&] {
+      Experiment params;
+      read_params(parse(text), params);
+    });
+  };
+  EXPECT_EQ(refused("\nwind: [1]"), "fold.yaml:2: wind = [1], must be a list of 2 numbers (x, y), each in [-10, 10]");
+  EXPECT_EQ(refused("wind: []"), "fold.yaml:1: wind = [], must be a list of 2 numbers (x, y), each in [-10, 10]");
+  EXPECT_EQ(refused("wind: 1"), "fold.yaml:1: wind = 1, must be a list of 2 numbers (x, y), each in [-10, 10]");
+  EXPECT_EQ(refused("weights: [1, 1, 1, 1]"),
+            "fold.yaml:1: weights = [1, 1, 1, 1], must be a list of 3 numbers, each in [0, 1]");
+  EXPECT_EQ(refused("corners: [a, b, c]"), "fold.yaml:1: corners = [a, b, c], must be a list of 2 texts");
+  // What is empty by default may be given as empty: a saved config says so.
+  Experiment params;
+  const ConfigNode resolved = read_params(parse("weights: []"), params);
+  EXPECT_NO_THROW(read_params(ConfigNode::parse(resolved.to_yaml(), "saved.yaml"), params));
+  read_params(parse("weights: [0, 0.5, 1]"), params);
+  EXPECT_THAT(params.weights, ElementsAre(0.0, 0.5, 1.0));
+}
+
+TEST(Params, DescribeTellsWhatIsBehindAType) {
+  const auto infos = describe_params<Experiment>();
+  EXPECT_EQ(param_named(infos, "wind").type, "list of 2 numbers (x, y)");
+  EXPECT_EQ(param_named(infos, "wind").length.count, 2u);
+  EXPECT_EQ(param_named(infos, "corners").type, "list of 2 texts");
+  EXPECT_EQ(param_named(infos, "mesh").type, "file or mapping");
+  EXPECT_EQ(param_named(infos, "mesh").kind, ParamKind::file_or_mapping);
+  EXPECT_EQ(param_named(infos, "model").kind, ParamKind::file);
+  EXPECT_EQ(param_named(infos, "inner.mover").kind, ParamKind::slot);
+  EXPECT_EQ(param_named(infos, "inner.mover").slot, "trajectory");
+  EXPECT_EQ(param_named(infos, "method").kind, ParamKind::choice);
+  EXPECT_THAT(param_named(infos, "method").choices, ElementsAre("fast", "slow"));
+  EXPECT_EQ(message_of<ConfigError>([&] { param_named(infos, "metod"); }), "metod is not a known key; nearest: method");
+}
+
+TEST(Params, AMarkHoldsForAPartAndAGroupUntilAKeySaysOtherwise) {
+  std::string marks;
+  for (const auto& info : describe_params<Experiment>()) marks += info.name + ": " + to_string(info.decides) + "\n";
+  EXPECT_EQ(marks,
+            "threads: nothing\nmesh: examples\nwind: examples\nauthor: nothing\nweights: results\n"
+            "corners: examples\nmodel: results\nmethod: results\ninner.mover: examples\ninner.start: results\n"
+            "solver.tolerance: results\nsolver.iterations: results\n");
+}
+
+TEST(Params, KeepsThePartOfAConfigThatIsAskedFor) {
+  const auto infos = describe_params<Experiment>();
+  const auto examples = [](const ParamInfo& info) { return info.decides == Decides::examples; };
+  Experiment params;
+  const ConfigNode resolved = read_params(parse("wind: [3, 4]\ninner: {mover: {plugin: toy}}\n"), params);
+  EXPECT_EQ(keep_params(resolved, infos, examples).to_yaml(),
+            "mesh: null\nwind: [3, 4]\ncorners: [a, b]\ninner:\n  mover:\n    plugin: toy\n");
+  // Every key is somewhere.
+  const auto others = [](const ParamInfo& info) { return info.decides != Decides::examples; };
+  EXPECT_THAT(keep_params(resolved, infos, others).keys(),
+              ElementsAre("threads", "author", "weights", "model", "method", "inner", "solver"));
+
+  // A file as it was written, of which another command knows more: order and places stay.
+  const auto all = [](const ParamInfo&) { return true; };
+  const ConfigNode file = parse("solver: {iterations: 3}\ndata: {a: 1}\ninner:\nwind: [0, 0]\n");
+  const ConfigNode known = keep_params(file, infos, all);
+  EXPECT_EQ(known.to_yaml(), "solver:\n  iterations: 3\ninner: null\nwind: [0, 0]\n");
+  EXPECT_EQ(known.at("wind").where(), "fold.yaml:4");
+  EXPECT_EQ(known.at("solver").where(), "fold.yaml:1");
+  EXPECT_EQ(keep_params(parse("inner:\nsolver: {}\nmodel: x\n"), infos, examples).to_yaml(), "inner: null\n");
+}
+
+TEST(Params, AFileThatMayBeAMappingIsResolvedLikeAFile) {
+  Experiment params;
+  const ConfigNode resolved = read_params(parse("mesh: meshes/towel.yaml\n"), params);
+  EXPECT_EQ(resolved.at("mesh").as_string(), "/cfg/meshes/towel.yaml");
+  EXPECT_EQ(params.cloth.mesh.where(), "fold.yaml:1");  // messages name the file that the user wrote
+  EXPECT_EQ(read_params(parse("mesh: {name: towel}\n"), params).at("mesh").at("name").as_string(), "towel");
+}
+
 TEST(Params, MarkdownHasOneRowPerParameter) {
   EXPECT_EQ(params_markdown(describe_params<Solver>()),
             "| parameter | type | unit | range | default | meaning |\n|---|---|---|---|---|---|\n"

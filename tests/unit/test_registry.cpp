@@ -34,6 +34,67 @@ struct PathVariable {
   ~PathVariable() { unsetenv("WEFT_PLUGIN_PATH"); }
 };
 
+/// A config with slots, here and below a group, and files.
+struct Config {
+  ConfigNode mover = parse("{plugin: toy}"), other;
+  std::filesystem::path model;
+  struct Inner {
+    ConfigNode mover = parse("wrapper");
+    std::filesystem::path start;
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("mover", mover, PluginSlot{"trajectory"}, "What moves.");
+      v("start", start, "Where it begins.");
+    }
+  } inner;
+  ConfigNode cloth;
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("mover", mover, PluginSlot{"trajectory"}, "What moves.");
+    v("other", other, PluginSlot{"trajectory"}, "What else.");
+    v("model", model, "What was learned.");
+    v.group("inner", inner, "Inside.");
+    v("cloth", cloth, "The cloth.", FileOrMapping{});
+  }
+};
+
+TEST(Registry, ResolvesEverySlotThatAConfigDeclares) {
+  const auto plugins = registry({"second"});
+  const auto infos = describe_params<Config>();
+  Config params;
+  const ConfigNode saved = plugins->resolve_slots(read_params(parse("model: m.h5\n", "/cfg"), params), infos);
+  EXPECT_EQ(saved.to_yaml(),
+            "mover:\n  plugin: toy\n  params:\n    speed: 1\nother: null\nmodel: /cfg/m.h5\n"
+            "inner:\n  mover:\n    plugin: wrapper\n    params:\n      inner:\n        plugin: toy\n"
+            "        params:\n          speed: 1\n      table: \"\"\n  start: \"\"\ncloth: null\n");
+  EXPECT_EQ(plugins->resolve_slots(saved, infos).to_yaml(), saved.to_yaml());
+  const auto wrong = parse("inner:\n  mover:\n    plugin: wraper\n");
+  EXPECT_THAT(message_of<PluginError>([&] { plugins->resolve_slots(wrong, infos); }),
+              StartsWith("fold.yaml:3: inner.mover.plugin: no trajectory plugin is called 'wraper'"));
+}
+
+TEST(Registry, FindsTheFilesThatAConfigNames) {
+  const auto plugins = registry({"second"});
+  const ConfigNode config = parse(
+      "mover: {plugin: wrapper, params: {table: a.csv, inner: {plugin: wrapper, params: {table: b.csv}}}}\n"
+      "model: m.h5\n"
+      "inner: {start: ''}\n"
+      "cloth: towel.yaml\n",
+      "/cfg");
+  std::string found;
+  for (const ConfigNode& file : plugins->files(config, describe_params<Config>()))
+    found += file.where() + " " + file.path() + " " + file.as_path().string() + "\n";
+  EXPECT_EQ(found,
+            "fold.yaml:2 model /cfg/m.h5\n"
+            "fold.yaml:4 cloth /cfg/towel.yaml\n"
+            "fold.yaml:1 mover.params.table /cfg/a.csv\n"
+            "fold.yaml:1 mover.params.inner.params.table /cfg/b.csv\n");
+  EXPECT_TRUE(plugins->files(parse("cloth: {name: towel}\nmover: toy\n"), describe_params<Config>()).empty());
+  const auto host = make_host(plugins, {});
+  ASSERT_EQ(host->files("trajectory", config.at("mover")).size(), 2u);
+  EXPECT_EQ(host->files("trajectory", config.at("mover")).front().as_string(), "a.csv");
+}
+
 TEST(Registry, TheFirstFolderWins) {
   EXPECT_EQ(registry({"first", "second"})->find("toy").version, "1.0.0");
   EXPECT_EQ(registry({"second", "first"})->find("toy").version, "2.0.0");

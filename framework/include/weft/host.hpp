@@ -3,6 +3,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "weft/config.hpp"
 #include "weft/export.hpp"
@@ -24,6 +25,10 @@ class WEFT_API Host {
     auto object = create_erased(Interface::kKind, slot);
     return {object, static_cast<Interface*>(object.get())};
   }
+
+  /// The nodes of a slot that name files: those that the plugin's parameters and the slots in them declare. For messages
+  /// about what is in the files. The default knows of none. @throws ConfigError, PluginError.
+  virtual std::vector<ConfigNode> files(const std::string& kind, const ConfigNode& slot);
 
   virtual int threads() const = 0;  ///< worker threads, >= 1; part of the resolved config
   /// Runs body(i) for i in [0, count), on up to threads() threads, and waits. The split depends on count and threads

@@ -1,8 +1,12 @@
 #pragma once
+#include <any>
+#include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "weft/garment.hpp"
@@ -19,7 +23,7 @@ struct Scene {
   Vec3 initial_velocity = Vec3::Zero();       ///< m/s, of every vertex that is not pinned
 };
 
-/// When the cloth counts as settled: the largest vertex speed stays below `speed` for `hold_frames` frames on end.
+/// When the cloth counts as settled: the largest vertex speed stays below `speed` for `hold_frames` frames in a row.
 struct SettleCriterion {
   double speed = 0.005;  ///< m/s
   Index hold_frames = 6;
@@ -33,11 +37,12 @@ struct SettleResult {
 
 /// Measurements on the current state, for results and tests.
 struct SimulatorDiagnostics {
-  double max_speed = 0.0;         ///< m/s
-  double max_strain = 0.0;        ///< largest |principal in-plane strain| over all faces
-  double max_grasp_strain = 0.0;  ///< largest over the faces at a grasped vertex since the last reset/restore
-  Index contacts = 0;             ///< active self-contacts in the last step
-  std::string warning;            ///< empty, or what the user should know (a grasp that overstretches the cloth)
+  double max_speed = 0.0;   ///< m/s
+  double max_strain = 0.0;  ///< largest |principal in-plane strain| over all faces
+  double max_grasp_strain =
+      0.0;              ///< largest over the faces at a held vertex since reset(); restore() brings back the snapshot's
+  Index contacts = 0;   ///< active self-contacts in the last step
+  std::string warning;  ///< empty, or what the user should know (a grasp that overstretches the cloth)
 };
 
 /// Opaque copy of a simulator's whole state; only the plugin that made it reads it. Immutable, shareable.
@@ -46,12 +51,14 @@ class WEFT_API SimulatorSnapshot {
   virtual ~SimulatorSnapshot() = default;
 };
 
+/// What a simulator can do. reset() refuses with ConfigError a scene or fabric that needs `pins`, `orthotropic` or
+/// `gravity_any_direction` where they are not declared (check_reset() does that); so every command says the same.
 struct SimulatorCapabilities {
   bool snapshots = false;        ///< save() / restore()
   bool self_contact = false;     ///< layers keep `thickness_m` apart
   bool ground_friction = false;  ///< Coulomb, threshold tan(alpha) = mu
   bool pins = false;             ///< honours Scene::pins
-  bool orthotropic = false;      ///< honours warp != weft
+  bool orthotropic = false;      ///< honours warp != weft, in stretching and in bending, and Fabric::tables
   bool gravity_any_direction = true;
 };
 
@@ -61,13 +68,13 @@ struct SimulatorCapabilities {
 class WEFT_API Simulator {
  public:
   static constexpr const char* kKind = "simulator";
-  static constexpr int kVersion = 1;  // bump on any change to this class or the types above
+  static constexpr int kVersion = 2;  // bump on any change to this file
   virtual ~Simulator() = default;
 
   virtual SimulatorCapabilities capabilities() const = 0;
 
   /// Puts the garment's initial positions into the scene, at scene.initial_velocity, nothing grasped, frame 0.
-  /// Positions below contact height are lifted to it.
+  /// Vertices below contact height (ground + thickness) are lifted to it, pinned ones are not.
   /// @throws ConfigError for a fabric or scene that the plugin cannot honour.
   virtual void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) = 0;
 
@@ -105,14 +112,109 @@ class WEFT_API Simulator {
   WEFT_API virtual void restore(const SimulatorSnapshot& snapshot);
 };
 
-/// What every simulator of cloth refuses in reset(): a garment without faces, moduli, friction, thickness and damping
-/// that are not finite or out of range, a scene that is not finite, pins that the garment has not.
-/// @param plugin name that messages begin with. @param self_contact layers need a thickness above 0.
-/// @throws ConfigError naming the value, what it is and what it must be.
+/// What every simulator of cloth refuses in reset(): a garment without faces; moduli, friction, thickness and damping
+/// that are not finite or out of range; a scene that is not finite; pins that are no vertices of the garment. Also a
+/// fabric or scene that needs an ability which is not declared (SimulatorCapabilities). With self_contact the thickness
+/// must be above 0.
+/// @param plugin name that messages begin with.
+/// @throws ConfigError naming the key, its value and what it must be.
 WEFT_API void check_reset(const std::string& plugin, const Garment* garment, const Fabric& fabric, const Scene& scene,
-                          bool self_contact);
+                          const SimulatorCapabilities& capabilities);
 
-/// Empty, or the warning that a grasp stretched the cloth more than the plugin's parameter grasp_strain_warning.
-WEFT_API std::string grasp_strain_warning(double largest_strain, double limit);
+/// Bookkeeping that all simulators share: held and pinned vertices, the checks of every call, contact height at reset,
+/// settling, the frame counter, strain at the grasps, divergence and snapshots. A simulator derives from it and writes
+/// its physics: start() and advance_frame(), and capabilities(). The other protected functions are for simulators that
+/// keep the state in arrays of their own.
+///
+/// A pinned vertex has zero velocity. So has a held one until the next frame, which leaves it with its hand's velocity.
+class WEFT_API SimulatorBase : public Simulator {
+ public:
+  struct Options {
+    double settle_drag_per_s = 0.0;  ///< 1/s, drag that settle() adds to the fabric's
+    /// In-plane strain at a held vertex above which diagnostics() warns; infinity: never.
+    double grasp_strain_warning = std::numeric_limits<double>::infinity();
+  };
+
+  void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) override;
+  void set_state(const Positions& positions, const Positions& velocities, std::span<const Index> grasped) override;
+  void grasp(std::span<const Index> vertices) override;
+  std::vector<Index> grasped() const override { return held_; }
+  void step(const Positions& grasp_targets) override;
+  void release(std::span<const Index> vertices) override;
+  void release() override;
+  SettleResult settle(const SettleCriterion& criterion) override;
+  const Positions& positions() const override { return positions_; }
+  const Positions& velocities() const override { return velocities_; }
+  Index frame() const override { return frame_; }
+  SimulatorDiagnostics diagnostics() const override;
+  std::shared_ptr<const SimulatorSnapshot> save() const override;
+  void restore(const SimulatorSnapshot& snapshot) override;
+
+ protected:
+  /// @param name what messages begin with: the plugin's name.
+  explicit SimulatorBase(std::string name) : SimulatorBase(std::move(name), Options()) {}
+  SimulatorBase(std::string name, const Options& options);
+
+  /// Called by reset() once garment(), fabric(), scene(), positions() and velocities() are those of the new run: makes
+  /// what depends on them. @throws ConfigError for what this simulator cannot honour; then it must be reset again.
+  virtual void start() = 0;
+
+  /// Advances one frame (kFrameSeconds). Held vertices move in a straight line to their targets and end there.
+  /// @param targets [held().size(), 3] m, finite, in the order of held().
+  /// @param drag 1/s: of the air (Fabric::damping_air_per_s), and what settle() adds.
+  /// @param x, v [V, 3] m, m/s. In: the state before the frame. Out: after it. Non-finite numbers end the run as
+  ///   diverged; positions() and velocities() then stay those before the frame.
+  /// @throws Diverged with the reason; plugin and frame are added to it.
+  virtual void advance_frame(const Positions& targets, double drag, Positions& x, Positions& v) = 0;
+
+  /// A vertex was taken (`held`) or let go. Its velocity is zero.
+  virtual void hold_changed(Index /*vertex*/, bool /*held*/) {}
+  /// positions(), velocities() and held() were replaced, by set_state() or restore(). History must be dropped.
+  virtual void state_changed() {}
+
+  /// Largest |principal stretch - 1| of a face at positions().
+  virtual double face_strain(Index face) const;
+  /// Adds to the diagnostics what the base does not know: contacts, warnings.
+  virtual void add_diagnostics(SimulatorDiagnostics& /*diagnostics*/) const {}
+
+  /// What a snapshot must keep besides positions, velocities and held vertices, such as contact warm starts.
+  virtual std::any save_history() const { return {}; }
+  /// Takes back what save_history() gave; positions(), velocities() and held() are the snapshot's already.
+  virtual void restore_history(const std::any& /*history*/) { state_changed(); }
+
+  const Garment& garment() const { return *garment_; }
+  const Fabric& fabric() const { return fabric_; }
+  const Scene& scene() const { return scene_; }
+  /// Lowest z of a vertex, m: the ground and the cloth's thickness. Without ground -infinity.
+  double floor() const { return floor_; }
+  const std::vector<Index>& held() const { return held_; }  ///< in the order of step()'s targets
+  bool is_fixed(Index vertex) const { return pinned_[vertex] || is_held_[vertex]; }
+
+ private:
+  enum class Phase { not_reset, running, diverged };
+  struct Snapshot;
+
+  void require_running(const char* call) const;
+  void require_reset(const char* call) const;
+  void require_free(Index vertex, const char* call) const;
+  void set_held(std::span<const Index> vertices);
+  void advance(const Positions& targets, double extra_drag);
+  double max_speed() const;
+
+  std::string name_;
+  Options options_;
+  Phase phase_ = Phase::not_reset;
+  std::shared_ptr<const Garment> garment_;
+  Fabric fabric_;
+  Scene scene_;
+  double floor_ = 0.0;
+  std::vector<std::uint8_t> pinned_, is_held_;  // [V]
+  std::vector<Index> held_;
+  Positions positions_, velocities_;
+  Positions next_positions_, next_velocities_;  // of the frame that is being computed
+  Positions still_;                             // [held, 3] targets of settle()
+  Index frame_ = 0;
+  double max_grasp_strain_ = 0.0;
+};
 
 }  // namespace weft

@@ -81,7 +81,7 @@ struct Params {
       v("jacobi_scaling", jacobi_scaling, "Scale the columns of the Jacobian to length 1.");
       v("nonmonotonic_steps", nonmonotonic_steps, "Allow steps that raise the cost for a while.");
       v("max_invalid_steps", max_invalid_steps, range(0, 1000),
-        "Steps to points without a finite value, on end, before giving up.");
+        "Steps in a row to points without a finite value before giving up.");
     }
   } trust_region;
 

@@ -65,16 +65,16 @@ struct Params {
 /// mppi: the weights of information theoretic MPC [Williams et al. 2017, "Information theoretic MPC for model-based
 /// reinforcement learning", ICRA; the same, arXiv:1707.02342, algorithms 1 and 2], without the control cost term (their
 /// gamma = 0), since the objective already holds all costs, on a whole decision vector instead of a control sequence:
-///     rho = min_k S_k,   w_k = exp(-(S_k - rho)/lambda) / sum_j exp(-(S_j - rho)/lambda),   mu <- mu + sum_k w_k (x_k
-///     - mu)
+///     rho = min_k S_k,   w_k = exp(-(S_k - rho)/lambda) / sum_j exp(-(S_j - rho)/lambda),
+///     mu <- mu + sum_k w_k (x_k - mu)
 /// Departures: lambda is by default in standard deviations of the S_k, since costs span decades from the first plan to
 /// the last; sigma shrinks by noise_decay per iteration, since here one problem is iterated on and not a moving one.
 ///
 /// cem: the cross-entropy method with normal updating and dynamic smoothing [Rubinstein & Kroese 2004, "The
 /// cross-entropy method", ch. 5; Kroese, Porotsky & Rubinstein 2006, Methodol. Comput. Appl. Probab. 8]: over the N_e =
 /// ceil(rho K) best,
-///     mu <- alpha mean_e + (1 - alpha) mu,   sigma <- beta_t std_e + (1 - beta_t) sigma,   beta_t = beta - beta (1 -
-///     1/t)^q
+///     mu    <- alpha mean_e + (1 - alpha) mu
+///     sigma <- beta_t std_e + (1 - beta_t) sigma,   beta_t = beta - beta (1 - 1/t)^q
 /// Departures: a floor min_noise on sigma; beta is 0.5 by default, where the source has 0.8 to 0.99 and a first sigma
 /// as wide as the search space: from a start of one scale those shrink sigma before the mean has arrived.
 class Mppi final : public Optimiser {

@@ -27,8 +27,8 @@ struct Params {
     v("step_tolerance", step_tolerance, range(0, 1e6),
       "NLopt's xtol_abs: converged when a step changes every variable by less, in units of its scale.");
     v("initial_step", initial_step, range(1e-9, 1e6),
-      "First step of the algorithms without gradients, in units of each variable's scale; at most a quarter of the "
-      "box.");
+      "First step of the algorithms without gradients, in units of each variable's scale; "
+      "at most a quarter of the box.");
     v("vector_storage", vector_storage, range(0, 10000),
       "Steps that LBFGS, VAR* and TNEWTON* remember; 0: NLopt's choice.");
     v("population", population, range(0, 1000000), "Points of CRS2_LM and ISRES; 0: NLopt's choice.");

@@ -30,7 +30,7 @@ struct Params {
       "Converged when `patience` iterations improve the best cost by no more than this part of it.");
     v("patience", patience, range(1.0, 1e9), "Iterations over which relative_tolerance is measured.");
     v("max_retries", max_retries, range(0.0, 100.0),
-      "Steps back from a non-finite cost or gradient, on end, before an instance counts as diverged.");
+      "Steps back in a row from a non-finite cost or gradient before an instance counts as diverged.");
   }
 };
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "model_file.hpp"
 #include "training_library.hpp"
 
 namespace weft::emd {

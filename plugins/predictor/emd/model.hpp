@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -35,14 +34,19 @@ struct Weight {
   std::string name;
   Index rows = 0, columns = 0;
   std::size_t offset = 0;
-  std::size_t size() const { return static_cast<std::size_t>(rows * columns); }
+  std::size_t size() const { return rows * columns; }
 };
 
-/// Places of the weights within the flat array. With z = latent + memory:
-///   encoder  e = f(y Wy + v Wv + b),  z_0 = [PCA of y, 0] + e W + b                     y: start shape, v: change
-///   since the previous one module   h_1 = f(z Wz + u Wu + b),  h_l = f(h_{l-1} Wh + u Wu + b) + h_{l-skip},  dz =
-///   h_last W + u Wu + b,  z <- N(z + dz) decoder  g = f(z W + b),  mean = PCA^T z + g Wm + bm,  sigma = floor + exp(g
-///   Ws + bs)
+/// Places of the weights within the flat array. y: start shape; v: change since the previous shape; u: inputs of a
+/// segment; z: latent state, latent + memory long; f: activation; N: normalisation of the latent state.
+///   encoder   e   = f(y Wy + v Wv + b)
+///             z_0 = N([PCA of y, 0] + e W + b)
+///   module    h_1 = f(z Wz + u Wu + b)
+///             h_l = f(h_{l-1} Wh + u Wu + b) + h_{l-skip}
+///             z  <- N(z + h_last W + u Wu + b)
+///   decoder   g     = f(z W + b)
+///             mean  = y + PCA^T (z - z_0) + (g - g_0) Wm      differential_decoding; else PCA^T z + g Wm + bm
+///             sigma = floor + exp(g Ws + bs)
 struct Layout {
   struct Layer {
     int h = -1, u = -1, b = -1;  ///< indices into `weights`; u = -1: this layer sees no inputs
@@ -61,10 +65,10 @@ struct Layout {
 struct Model {
   Architecture architecture;
   Dimensions dimensions;
-  std::vector<float> weights;  ///< Layout::size
-  std::vector<float> mean;     ///< [coordinates], units of kLength
-  std::vector<float> basis;  ///< [coordinates, latent], orthonormal columns; empty without pca_skip and previous_shape
-  std::vector<float> scale;  ///< [latent]: latent = (PCA coefficient) / scale
+  std::vector<float> weights;               ///< Layout::size
+  std::vector<float> mean;                  ///< [coordinates], units of kLength
+  std::vector<float> basis;                 ///< [coordinates, latent], orthonormal columns; empty unless needs_basis()
+  std::vector<float> scale;                 ///< [latent]: latent = (PCA coefficient) / scale
   std::vector<float> input_mean, input_sd;  ///< [inputs]
   /// [2, 2, steps]: factors on sigma after j segments (beyond the last: the last), from the start of a session or from
   /// within one, with exact knowledge and with none.
@@ -83,8 +87,8 @@ struct Model {
   std::vector<double> displacement;           ///< [2]
   std::string material;                       ///< material space, YAML
   std::string dataset, provenance, training;  ///< identity of the data; versions and commit; training.json
-  std::vector<DatasetOrigin> datasets;        ///< what the data are; empty: the file is older than this record
-  std::vector<DatasetOrigin> calibrated;      ///< what the calibration was found on later; empty: it is the fit's own
+  std::vector<DatasetOrigin> datasets;        ///< training data; empty: the file is older than this record
+  std::vector<DatasetOrigin> calibrated;      ///< data of the last calibrate(); empty: the calibration is the fit's own
 
   bool needs_basis() const { return architecture.pca_skip || architecture.previous_shape; }
   Index latent_size() const { return architecture.latent + architecture.memory; }
@@ -117,13 +121,7 @@ struct Model {
 void draw_weights(const Layout& layout, std::uint64_t seed, std::vector<float>& weights);
 /// A model of random weights for any task, with the latent size cut to what its garment has.
 Model untrained_model(Architecture architecture, const Task& task, std::uint64_t seed);
-/// Rounds to the nearest 16-bit float, as it will be read back.
-float round_to_half(float value);
-/// Whether storing it in half precision changes nothing.
-bool fits_half(const Model& model);
-void save_model(const std::filesystem::path& file, const Model& model, bool half_precision);
-/// Checks every size, every number, every range and the checksum. @throws ConfigError with the reason. Runs nothing
-/// that the file holds.
-Model load_model(const std::filesystem::path& file);
+/// The words with one space between them.
+std::string join(const std::vector<std::string>& words);
 
 }  // namespace weft::emd

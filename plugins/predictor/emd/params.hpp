@@ -5,7 +5,7 @@
 
 namespace weft::emd {
 
-/// The network. Every piece that the EM*D papers name is a switch, so that each can be taken out and measured.
+/// The network. Every piece that the EM*D papers name is a switch: each can be taken out, and its effect measured.
 struct Architecture {
   std::int64_t latent = 192;
   std::int64_t memory = 64;
@@ -34,7 +34,7 @@ struct Architecture {
     v("decoder_hidden", decoder_hidden, range(1, 4096), "Width of the decoder's hidden layer.");
     v("residual", residual, range(0, 2), "Length of the skip connections between the module's layers; 0: none.");
     v("repeat_inputs", repeat_inputs,
-      "Give control and knowledge to every layer of the module, not to the first alone.");
+      "Give control and knowledge to every layer of the module, not only to the first.");
     v("pca_skip", pca_skip, "Linear path around encoder and decoder on principal components of the shapes.");
     v("whitening", whitening, range(0, 1),
       "How far principal components are brought to one scale; 1: all to unit variance.");
@@ -45,11 +45,11 @@ struct Architecture {
       "The decoder emits the change of the shape since the start, not the shape.");
     v("previous_shape", previous_shape, "Use the shape one segment earlier, when there is one: it shows the velocity.");
     v("activation", activation, choice({"silu", "tanh"}), "Nonlinearity of all hidden layers.");
-    v("sigma_floor_m", sigma_floor_m, range(1e-6, 0.01, "m"), "Sigma is at least that.");
+    v("sigma_floor_m", sigma_floor_m, range(1e-6, 0.01, "m"), "Least sigma of the decoder, before calibration.");
   }
 };
 
-/// How `weft train` fits it (section 3).
+/// How `weft train` fits the network (section 3).
 struct Training {
   std::string optimiser = "adam";
   double rate = 1.5e-3;
@@ -98,32 +98,32 @@ struct Training {
     v("decoded_steps", decoded_steps, range(1, 200),
       "Shapes per sub-sequence that enter the loss: the last one and others drawn at random.");
     v("vertex_share", vertex_share, range(0.001, 1),
-      "Share of the vertices that enter the loss of an iteration, drawn anew for each: neighbours say much the same.");
+      "Share of the vertices that enter the loss, drawn again for every iteration: neighbours move alike.");
     v("start_share", start_share, range(0, 1),
       "Share of the sub-sequences that begin with the flat shape; the others begin anywhere.");
     v("certain_share", certain_share, range(0, 1),
       "Share of the examples given exact knowledge (w = 0) instead of eq. 3's.");
     v("unknown_share", unknown_share, range(0, 1),
-      "Share of the examples given no knowledge, (0.5, 1): planning and estimation start there, eq. 3 almost never "
-      "goes.");
+      "Share of the examples given no knowledge, (0.5, 1): "
+      "planning and estimation start there, and eq. 3 almost never gives it.");
     v("beta", beta, range(0, 1), "beta-NLL: each term is weighted by sigma^(2 beta); 0: the plain likelihood.");
     v("average", average, range(0, 0.999999),
       "Exponential moving average of the weights, which is what is evaluated and kept; 0: none.");
     v("evaluate_every", evaluate_every, range(1, 1e9, "iterations"), "How often the validation loss is taken.");
     v("evaluation_cases", evaluation_cases, range(1, 1e9), "Validation sub-sequences.");
     v("patience", patience, range(1, 1e9, "evaluations"),
-      "SignSGD: halve the rate after that many without a new best.");
-    v("stop_after", stop_after, range(1, 1e9, "evaluations"), "Stop after that many without a new best.");
-    v("time_limit_s", time_limit_s, range(0, 1e9, "s"), "End training by then, the cosine decay with it; 0: no limit.");
+      "SignSGD: halve the rate after this many in a row without a new best.");
+    v("stop_after", stop_after, range(1, 1e9, "evaluations"), "Stop after this many in a row without a new best.");
+    v("time_limit_s", time_limit_s, range(0, 1e9, "s"), "Training and its cosine decay end by then; 0: no limit.");
     v("checkpoint_every", checkpoint_every, range(1, 1e9, "iterations"), "How often the state is saved, for resuming.");
     v("max_examples", max_examples, range(0, 1e9), "Train on the first n examples only (learning curves); 0: all.");
     v("half_precision", half_precision, "Store the weights as 16-bit numbers.");
     v("calibrate", calibrate, "Scale sigma, per number of segments, to the errors on the validation split.");
     v("sigma_passes", sigma_passes, range(0, 1e6),
-      "`weft calibrate`: how often each example is drawn when the decoder's sigma layer is fitted anew; 0: it stays.");
+      "`weft calibrate`: how often each example is drawn to refit the decoder's sigma layer; 0: no refit.");
     v("sigma_tails", sigma_tails, range(0, 0.33),
-      "Share of the fourth moment of the errors in that fit: sigma is wider where they have heavy tails; 0: the plain "
-      "likelihood.");
+      "Share of the fourth moment of the errors in that refit: sigma is wider where they have heavy tails; "
+      "0: the plain likelihood.");
   }
 };
 
@@ -141,7 +141,7 @@ struct Params {
       "What to do when the task's material space is not the one of the training data.");
     v("untrained", untrained, "Without a model file, take random weights: for timing and for tests, not for planning.");
     v.group("architecture", architecture, "The network, for training; a model file brings its own.");
-    v.group("training", training, "How it is fitted.");
+    v.group("training", training, "How the network is fitted.");
   }
 };
 

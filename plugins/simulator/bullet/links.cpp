@@ -145,149 +145,201 @@ struct Hinge {
   std::array<double, 4> weight{};  ///< m, 1/m
 };
 
+/// Faces, and what lies beside every edge.
+struct Mesh {
+  const RestPositions& rest;
+  const Faces& faces;
+  std::vector<double> areas;                                 ///< [f] m^2
+  std::map<std::pair<int, int>, std::array<int, 2>> beside;  ///< of an edge: its faces, the second -1 at the border
+
+  explicit Mesh(const Garment& garment) : rest(garment.rest), faces(garment.faces), areas(garment.face_count()) {
+    for (Index f = 0; f < faces.rows(); ++f) {
+      const Vec2 u = at(faces(f, 1)) - at(faces(f, 0)), v = at(faces(f, 2)) - at(faces(f, 0));
+      areas[f] = 0.5 * std::abs(u.x() * v.y() - u.y() * v.x());
+      for (int k = 0; k < 3; ++k) {
+        const auto key = std::minmax(faces(f, k), faces(f, (k + 1) % 3));
+        const auto [place, fresh] = beside.try_emplace(key, std::array<int, 2>{static_cast<int>(f), -1});
+        if (!fresh) place->second[1] = static_cast<int>(f);
+      }
+    }
+  }
+  Vec2 at(int v) const { return Vec2(rest(v, 0), rest(v, 1)); }
+};
+
+struct Moduli {
+  double warp, weft, shear;                ///< N/m
+  double bend_warp, bend_weft, bend_bias;  ///< N m
+};
+
+/// Of tables: C = 2 c and B = ke / 4 at zero strain and curvature (docs/file-formats.md). Rows of bending name the
+/// axis, so row 0 is bending along weft.
+Moduli moduli_of(const Fabric& fabric) {
+  if (!fabric.tables)
+    return {fabric.stretch_warp_n_per_m, fabric.stretch_weft_n_per_m, fabric.stretch_shear_n_per_m,
+            fabric.bend_warp_n_m,        fabric.bend_weft_n_m,        fabric.bend_bias_n_m};
+  const auto& c = fabric.tables->stretching[0];
+  const double m = fabric.stretch_multiplier;
+  const double c11 = 2 * m * std::max(c[0], 0.0), c12 = 2 * m * std::max(c[1], 0.0), c22 = 2 * m * std::max(c[2], 0.0);
+  const auto& ke = fabric.tables->bending;
+  return {c11 - (c22 > 0.0 ? c12 * c12 / c22 : 0.0),
+          c22 - (c11 > 0.0 ? c12 * c12 / c11 : 0.0),
+          m * std::max(c[3], 0.0),
+          fabric.bend_multiplier * ke[2][0] / 4,
+          fabric.bend_multiplier * ke[0][0] / 4,
+          fabric.bend_multiplier * ke[1][0] / 4};
+}
+
+/// What the network's quartic forms should be.
+struct Target {
+  Moduli moduli;                 ///< shear is what links can have
+  double c11, c22;               ///< N/m: C11 = K_warp + G^2 / C22 and C22 = K_weft + G^2 / C11 with C12 = C33 = G
+  double poisson;                ///< nu12
+  Form stretch_form, bend_form;  ///< along the directions
+
+  explicit Target(const Moduli& wanted) : moduli(wanted) {
+    const double mean = std::sqrt(moduli.warp * moduli.weft);
+    const double shear = moduli.shear =
+        std::min(moduli.shear, kLargestCoupling / (1.0 - kLargestCoupling * kLargestCoupling) * mean);
+    const double root = 0.5 * (mean + std::sqrt(mean * mean + 4.0 * shear * shear));
+    c11 = moduli.warp * root / mean, c22 = moduli.weft * root / mean;
+    poisson = shear / c22;
+    for (int j = 0; j < kDirections; ++j) {
+      stretch_form[j] = stretch(direction(j));
+      bend_form[j] = std::max(0.0, bend(direction(j)));
+    }
+  }
+  double stretch(const Vec2& p) const { return quartic(p, c11, c22, 6.0 * moduli.shear); }
+  double bend(const Vec2& p) const {
+    return quartic(p, moduli.bend_warp, moduli.bend_weft, 4.0 * moduli.bend_bias - moduli.bend_warp - moduli.bend_weft);
+  }
+  Eigen::Matrix3d compliance() const {
+    Eigen::Matrix3d s;
+    s << 1.0 / moduli.warp, -poisson / moduli.warp, 0.0, -poisson / moduli.warp, 1.0 / moduli.weft, 0.0, 0.0, 0.0,
+        1.0 / moduli.shear;
+    return s;
+  }
+
+ private:
+  static double quartic(const Vec2& p, double a, double b, double both) {
+    const double c = p.x() * p.x(), s = p.y() * p.y();
+    return a * c * c + b * s * s + both * c * s;
+  }
+};
+
+/// The hinge of an edge from a along n (a unit vector), `length` long, between two faces.
+Hinge make_hinge(const Mesh& mesh, int a, int b, const std::array<int, 2>& beside, const Vec2& n, double length) {
+  Hinge hinge;
+  hinge.node = {a, b, -1, -1};
+  for (int side = 0; side < 2; ++side)
+    for (int k = 0; k < 3; ++k)
+      if (const int v = mesh.faces(beside[side], k); v != a && v != b) hinge.node[2 + side] = v;
+  // Weights of the opposite corners: 1 / height. Those of the ends annul affine functions.
+  for (int side = 0; side < 2; ++side) {
+    const Vec2 off = mesh.at(hinge.node[2 + side]) - mesh.at(a);
+    const double height = std::abs(n.x() * off.y() - n.y() * off.x()), part = n.dot(off) / length;
+    hinge.weight[2 + side] = 1.0 / height;
+    hinge.weight[0] -= (1.0 - part) / height;
+    hinge.weight[1] -= part / height;
+  }
+  return hinge;
+}
+
+/// The hinge's squared angle in a surface of unit curvature along each direction.
+Form squared_angles(const Mesh& mesh, const Hinge& hinge) {
+  // The angle of the surface z = (xx x^2 + 2 xy x y + yy y^2) / 2.
+  double xx = 0.0, yy = 0.0, xy = 0.0;
+  for (int k = 0; k < 4; ++k) {
+    const Vec2 p = mesh.at(hinge.node[k]) - mesh.at(hinge.node[0]);
+    xx += 0.5 * hinge.weight[k] * p.x() * p.x();
+    yy += 0.5 * hinge.weight[k] * p.y() * p.y();
+    xy += hinge.weight[k] * p.x() * p.y();
+  }
+  Form form{};
+  for (int j = 0; j < kDirections; ++j) {
+    const Vec2 p = direction(j);
+    const double angle = xx * p.x() * p.x() + yy * p.y() * p.y() + xy * p.x() * p.y();
+    form[j] = angle * angle;
+  }
+  return form;
+}
+
+/// The hinges' bending stiffness as pre-stress of the edges, and of struts, which it adds.
+void add_pre_stress(const Mesh& mesh, const std::vector<Hinge>& hinges, const std::vector<double>& stiffness,
+                    std::vector<Spring>& springs) {
+  std::map<std::pair<int, int>, std::size_t> spring_of;
+  for (std::size_t e = 0; e < springs.size(); ++e) spring_of[{springs[e].a, springs[e].b}] = e;
+  for (std::size_t h = 0; h < hinges.size(); ++h)
+    for (int i = 0; i < 4; ++i)
+      for (int j = i + 1; j < 4; ++j) {
+        const auto ends = std::minmax(hinges[h].node[i], hinges[h].node[j]);
+        const auto [place, fresh] = spring_of.try_emplace(ends, springs.size());
+        if (fresh)
+          springs.push_back({ends.first, ends.second, (mesh.at(ends.first) - mesh.at(ends.second)).norm(), 0, 0});
+        springs[place->second].pre_stress -= stiffness[h] * hinges[h].weight[i] * hinges[h].weight[j];
+      }
+}
+
+/// Stiffens the edges that could not carry their pre-stress. @return their share.
+double raise_stiffness(std::vector<Spring>& springs, std::size_t edges) {
+  double share = 0.0;
+  for (std::size_t e = 0; e < edges; ++e) {
+    Spring& spring = springs[e];
+    const double least = kStiffnessPerPreStress * std::abs(spring.pre_stress);
+    if (spring.stiffness >= least) continue;
+    share += 1.0 / static_cast<double>(edges);
+    spring.stiffness = least;
+  }
+  return share;
+}
+
 }  // namespace
 
 SpringNetwork spring_network(const Garment& garment, const Fabric& fabric) {
-  const RestPositions& rest = garment.rest;
-  const Faces& faces = garment.faces;
-  const Index vertices = garment.vertex_count();
-  const auto at = [&](int v) { return Vec2(rest(v, 0), rest(v, 1)); };
-
+  const Mesh mesh(garment);
+  const Target target(moduli_of(fabric));
   SpringNetwork network;
-  network.vertex_masses.assign(vertices, 0.0);
-  std::vector<double> areas(faces.rows());
-  std::map<std::pair<int, int>, std::array<int, 2>> faces_of_edge;
-  for (Index f = 0; f < faces.rows(); ++f) {
-    const Vec2 u = at(faces(f, 1)) - at(faces(f, 0)), v = at(faces(f, 2)) - at(faces(f, 0));
-    areas[f] = 0.5 * std::abs(u.x() * v.y() - u.y() * v.x());
-    for (int k = 0; k < 3; ++k) {
-      network.vertex_masses[faces(f, k)] += fabric.density_kg_per_m2 * areas[f] / 3.0;
-      const auto key = std::minmax(faces(f, k), faces(f, (k + 1) % 3));
-      const auto [place, fresh] = faces_of_edge.try_emplace(key, std::array<int, 2>{static_cast<int>(f), -1});
-      if (!fresh) place->second[1] = static_cast<int>(f);
-    }
-  }
-
-  // Moduli. Of tables: C = 2 c and B = ke / 4 at zero strain and curvature (docs/file-formats.md); rows of bending name
-  // the axis, so row 0 is bending along weft.
-  double warp = fabric.stretch_warp_n_per_m, weft = fabric.stretch_weft_n_per_m, shear = fabric.stretch_shear_n_per_m;
-  double bend_warp = fabric.bend_warp_n_m, bend_weft = fabric.bend_weft_n_m, bend_bias = fabric.bend_bias_n_m;
-  if (fabric.tables) {
-    const auto& c = fabric.tables->stretching[0];
-    const double m = fabric.stretch_multiplier;
-    const double c11 = 2 * m * std::max(c[0], 0.0), c12 = 2 * m * std::max(c[1], 0.0),
-                 c22 = 2 * m * std::max(c[2], 0.0);
-    warp = c11 - (c22 > 0.0 ? c12 * c12 / c22 : 0.0);
-    weft = c22 - (c11 > 0.0 ? c12 * c12 / c11 : 0.0);
-    shear = m * std::max(c[3], 0.0);
-    const auto& ke = fabric.tables->bending;
-    bend_weft = fabric.bend_multiplier * ke[0][0] / 4;
-    bend_bias = fabric.bend_multiplier * ke[1][0] / 4;
-    bend_warp = fabric.bend_multiplier * ke[2][0] / 4;
-  }
-  // C11 = K_warp + G^2 / C22 and C22 = K_weft + G^2 / C11 with C12 = C33 = G.
-  const double mean = std::sqrt(warp * weft);
-  network.shear_n_per_m = shear =
-      std::min(shear, kLargestCoupling / (1.0 - kLargestCoupling * kLargestCoupling) * mean);
-  const double root = 0.5 * (mean + std::sqrt(mean * mean + 4.0 * shear * shear));
-  const double c11 = warp * root / mean, c22 = weft * root / mean;
-  network.poisson = shear / c22;
-  const auto quartic = [](const Vec2& p, double a, double b, double both) {
-    const double c = p.x() * p.x(), s = p.y() * p.y();
-    return a * c * c + b * s * s + both * c * s;
-  };
-  const auto stretch = [&](const Vec2& p) { return quartic(p, c11, c22, 6.0 * shear); };
-  const auto bend = [&](const Vec2& p) {
-    return quartic(p, bend_warp, bend_weft, 4.0 * bend_bias - bend_warp - bend_weft);
-  };
-  Eigen::Matrix3d compliance;
-  compliance << 1.0 / warp, -network.poisson / warp, 0.0, -network.poisson / warp, 1.0 / weft, 0.0, 0.0, 0.0,
-      1.0 / shear;
-  Form stretch_target{}, bend_target{};
-  for (int j = 0; j < kDirections; ++j) {
-    stretch_target[j] = stretch(direction(j));
-    bend_target[j] = std::max(0.0, bend(direction(j)));
-  }
+  network.shear_n_per_m = target.moduli.shear;
+  network.poisson = target.poisson;
+  network.vertex_masses.assign(garment.vertex_count(), 0.0);
+  for (Index f = 0; f < mesh.faces.rows(); ++f)
+    for (int k = 0; k < 3; ++k)
+      network.vertex_masses[mesh.faces(f, k)] += fabric.density_kg_per_m2 * mesh.areas[f] / 3.0;
 
   std::vector<Element> edges, hinge_elements;
   std::vector<Hinge> hinges;
   std::vector<Vec2> directions;
   std::vector<double> lengths;
-  for (const auto& [ends, beside] : faces_of_edge) {
+  for (const auto& [ends, beside] : mesh.beside) {
     const auto [a, b] = ends;
-    const Vec2 along = at(b) - at(a);
+    const Vec2 along = mesh.at(b) - mesh.at(a);
     const double length = along.norm();
     const Vec2 n = along / length;
+    const double area = mesh.areas[beside[0]] + (beside[1] < 0 ? 0.0 : mesh.areas[beside[1]]);
     network.springs.push_back({a, b, length, 0.0, 0.0});
-    Element edge;
-    edge.face = beside;
-    for (int j = 0; j < kDirections; ++j) edge.form[j] = length * length * std::pow(n.dot(direction(j)), 4);
-    const double area = areas[beside[0]] + (beside[1] < 0 ? 0.0 : areas[beside[1]]);
-    edge.guess = stretch(n) * area / (length * length);
-    edges.push_back(edge);
+    Form form{};
+    for (int j = 0; j < kDirections; ++j) form[j] = length * length * std::pow(n.dot(direction(j)), 4);
+    edges.push_back({form, target.stretch(n) * area / (length * length), beside});
     directions.push_back(n);
     lengths.push_back(length);
     if (beside[1] < 0) continue;
-
-    Hinge hinge;
-    hinge.node = {a, b, -1, -1};
-    for (int side = 0; side < 2; ++side)
-      for (int k = 0; k < 3; ++k)
-        if (const int v = faces(beside[side], k); v != a && v != b) hinge.node[2 + side] = v;
-    // Weights of the opposite corners: 1 / height. Those of the ends annul affine functions.
-    for (int side = 0; side < 2; ++side) {
-      const Vec2 off = at(hinge.node[2 + side]) - at(a);
-      const double height = std::abs(n.x() * off.y() - n.y() * off.x()), part = n.dot(off) / length;
-      hinge.weight[2 + side] = 1.0 / height;
-      hinge.weight[0] -= (1.0 - part) / height;
-      hinge.weight[1] -= part / height;
-    }
-    // The angle of the surface z = (xx x^2 + 2 xy x y + yy y^2) / 2.
-    double xx = 0.0, yy = 0.0, xy = 0.0;
-    for (int k = 0; k < 4; ++k) {
-      const Vec2 p = at(hinge.node[k]) - at(a);
-      xx += 0.5 * hinge.weight[k] * p.x() * p.x();
-      yy += 0.5 * hinge.weight[k] * p.y() * p.y();
-      xy += hinge.weight[k] * p.x() * p.y();
-    }
-    Element element;
-    element.face = beside;
-    for (int j = 0; j < kDirections; ++j) {
-      const Vec2 p = direction(j);
-      const double angle = xx * p.x() * p.x() + yy * p.y() * p.y() + xy * p.x() * p.y();
-      element.form[j] = angle * angle;
-    }
-    element.guess = std::max(0.0, bend(Vec2(-n.y(), n.x()))) * length * length / area;
-    hinge_elements.push_back(element);
+    const Hinge hinge = make_hinge(mesh, a, b, beside, n, length);
+    const double guess = std::max(0.0, target.bend(Vec2(-n.y(), n.x()))) * length * length / area;
+    hinge_elements.push_back({squared_angles(mesh, hinge), guess, beside});
     hinges.push_back(hinge);
   }
 
-  auto stiffness =
-      fit_form(edges, stretch_target, Patches(edges, faces, areas, vertices), areas, network.stretch_misfit);
-  match_moduli(stiffness, directions, lengths, compliance, std::accumulate(areas.begin(), areas.end(), 0.0));
+  const auto fit = [&](const std::vector<Element>& elements, const Form& form, double& misfit) {
+    return fit_form(elements, form, Patches(elements, mesh.faces, mesh.areas, garment.vertex_count()), mesh.areas,
+                    misfit);
+  };
+  auto stiffness = fit(edges, target.stretch_form, network.stretch_misfit);
+  match_moduli(stiffness, directions, lengths, target.compliance(),
+               std::accumulate(mesh.areas.begin(), mesh.areas.end(), 0.0));
   for (std::size_t e = 0; e < stiffness.size(); ++e) network.springs[e].stiffness = stiffness[e];
-  if (*std::min_element(bend_target.begin(), bend_target.end()) <= 0.0) return network;  // no bending stiffness
+  if (*std::min_element(target.bend_form.begin(), target.bend_form.end()) <= 0.0) return network;  // no bending
 
-  std::map<std::pair<int, int>, std::size_t> spring_of;
-  for (std::size_t e = 0; e < network.springs.size(); ++e) spring_of[{network.springs[e].a, network.springs[e].b}] = e;
-  const auto hinge_stiffness = fit_form(hinge_elements, bend_target, Patches(hinge_elements, faces, areas, vertices),
-                                        areas, network.bend_misfit);
-  for (std::size_t h = 0; h < hinges.size(); ++h)
-    for (int i = 0; i < 4; ++i)
-      for (int j = i + 1; j < 4; ++j) {
-        const auto ends = std::minmax(hinges[h].node[i], hinges[h].node[j]);
-        const auto [place, fresh] = spring_of.try_emplace(ends, network.springs.size());
-        if (fresh)
-          network.springs.push_back({ends.first, ends.second, (at(ends.first) - at(ends.second)).norm(), 0, 0});
-        network.springs[place->second].pre_stress -= hinge_stiffness[h] * hinges[h].weight[i] * hinges[h].weight[j];
-      }
-  for (std::size_t e = 0; e < edges.size(); ++e) {
-    Spring& spring = network.springs[e];
-    const double least = kStiffnessPerPreStress * std::abs(spring.pre_stress);
-    if (spring.stiffness >= least) continue;
-    network.raised_share += 1.0 / static_cast<double>(edges.size());
-    spring.stiffness = least;
-  }
+  add_pre_stress(mesh, hinges, fit(hinge_elements, target.bend_form, network.bend_misfit), network.springs);
+  network.raised_share = raise_stiffness(network.springs, edges.size());
   return network;
 }
 

@@ -193,6 +193,7 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
   }
 }
 
+/// One long function, because what a block of elements shares stays in registers.
 template <bool kDampStretch, bool kDampBend>
 float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces) const {
   const F8 half = splat(0.5f), one = splat(1.0f);

@@ -67,6 +67,12 @@ inline float largest_of(__m128 a) {
   return _mm_cvtss_f32(_mm_max_ss(a, _mm_shuffle_ps(a, a, 1)));
 }
 
+/// body(lane) for the lanes of a mask, lowest first.
+template <class Body>
+[[gnu::always_inline]] inline void each_lane(unsigned mask, Body&& body) {
+  for (; mask != 0; mask &= mask - 1) body(__builtin_ctz(mask));
+}
+
 struct Fixed8 {
   I8 x, y, z;
 };

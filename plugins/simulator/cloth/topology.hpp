@@ -23,6 +23,13 @@ struct Topology {
   std::vector<std::int32_t> component;                ///< [v] connected piece
   double max_edge = 0.0, mean_edge = 0.0;             ///< m, rest
   double min_height = 0.0;                            ///< m, smallest altitude of a rest face
+
+ private:
+  void measure_faces();
+  void join_faces();
+  void find_components();
+  void list_faces_of_vertices();
+  double rest_length(std::int32_t a, std::int32_t b) const;  ///< m
 };
 
 }  // namespace weft::cloth

@@ -21,12 +21,10 @@ class ToySimulator final : public Simulator {
 
   void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) override {
     const bool tilted = scene.gravity.x() != 0.0 || scene.gravity.y() != 0.0;
-    if (!p_.declare && !p_.accept) {
-      if (!scene.pins.empty()) throw Unsupported("toy: pins are not supported");
-      if (tilted) throw Unsupported("toy: gravity must point down");
-    }
-    if (fabric.stretch_warp_n_per_m != fabric.stretch_weft_n_per_m && !is("stretches_by_direction"))
-      throw ConfigError("toy: fabric.stretch_n_per_m: warp must be equal to weft");
+    SimulatorCapabilities can = capabilities();
+    if (p_.accept) can.pins = can.gravity_any_direction = true;
+    if (is("stretches_by_direction")) can.orthotropic = true;
+    check_reset("toy", garment.get(), fabric, scene, can);
     garment_ = std::move(garment);
     fabric_ = fabric;
     scene_ = scene;

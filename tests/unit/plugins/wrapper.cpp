@@ -1,3 +1,4 @@
+#include <filesystem>
 #include <memory>
 
 #include "unit/toy_trajectory.hpp"
@@ -6,9 +7,11 @@ namespace {
 
 struct Params {
   weft::ConfigNode inner = weft::ConfigNode::mapping({{"plugin", weft::ConfigNode::quoted("toy")}});
+  std::filesystem::path table;
   template <class Visitor>
   void visit(Visitor& v) {
     v("inner", inner, weft::PluginSlot{"trajectory"}, "What is wrapped.");
+    v("table", table, "Unused.");
   }
 };
 

@@ -7,7 +7,7 @@ namespace weft::emd {
 ///
 /// Every element of a product is the same sequence of fused multiply-adds over k, whatever row it stands in and however
 /// many rows there are. That is what makes a batched prediction equal, bit for bit, to the same case alone; a general
-/// BLAS does not promise it, and packs the weights anew in every call, which for 16 rows costs more than the product.
+/// BLAS does not promise it, and packs the weights again in every call, which for 16 rows costs more than the product.
 struct Kernels {
   const char* name;
   std::size_t panel;  ///< columns of a packed panel

@@ -77,8 +77,7 @@ class Graph {
         const Tensor added = layer.u < 0 ? w(layer.b) : contributions[l].narrow(0, offset, m);
         h = f(at::addmm(added, h, w(layer.h)));
         if (arch_.residual > 0 && l > 0) {
-          h = h + outputs[static_cast<std::size_t>(
-                      std::max<std::int64_t>(static_cast<std::int64_t>(l) - arch_.residual, 0))];
+          h = h + outputs[std::max<std::int64_t>(static_cast<std::int64_t>(l) - arch_.residual, 0)];
         }
         outputs.push_back(h);
       }
@@ -95,7 +94,7 @@ class Graph {
     for (std::size_t j = 1; j < boundaries.size(); ++j) first[j] = first[j - 1] + boundaries[j - 1].size(0);
     std::vector<std::int64_t> places;
     for (const auto& one : wanted) {
-      places.push_back(first[static_cast<std::size_t>(one.step)] + one.row);
+      places.push_back(first[one.step] + one.row);
       of_row.push_back(one.row);
     }
     const Tensor code = at::index_select(at::cat(boundaries), 0, at::tensor(places));
@@ -118,7 +117,7 @@ class Graph {
   }
 
  private:
-  const Tensor& w(int i) const { return weights_[static_cast<std::size_t>(i)]; }
+  const Tensor& w(int i) const { return weights_[i]; }
   Tensor f(const Tensor& x) const { return arch_.activation == "tanh" ? at::tanh(x) : at::silu(x); }
   Tensor normalise(const Tensor& a) const {
     const auto unit = [](const Tensor& x) { return x * at::rsqrt(at::sum(x * x, {1}, true) + 1.0); };
@@ -133,6 +132,16 @@ class Graph {
   std::vector<Tensor> weights_;
   Tensor project_, expand_;
 };
+
+/// sigma = exp(min(log_sigma, its limit)) + floor, in units of kLength. @param log_sigma as in Graph::Output.
+struct Sigma {
+  Tensor exp, value;  ///< the exponential; sigma
+};
+inline Sigma sigma_of(const Model& model, const Tensor& log_sigma) {
+  const float floor = static_cast<float>(model.architecture.sigma_floor_m) / kLength;
+  const Tensor exp = at::exp(at::clamp_max(log_sigma, kLargestLogSigma));
+  return {exp, exp + floor};
+}
 
 /// Sub-sequences for one pass, rows by descending length.
 struct Batch {
@@ -151,6 +160,7 @@ class Passes {
     at::set_num_threads(1);  // parts of a batch run side by side instead
   }
   const Dataset& dataset() const { return dataset_; }
+  const Model& model() const { return model_; }
   bool cancelled() const { return host_.cancelled(); }
   const Example& example(std::size_t i) const { return dataset_.examples[i]; }
 
@@ -164,9 +174,8 @@ class Passes {
     std::stable_sort(sequences.begin(), sequences.end(),
                      [](const Sequence& a, const Sequence& b) { return a.steps > b.steps; });
     Batch batch;
-    const auto n = static_cast<std::size_t>(model_.dimensions.coordinates());
-    const auto u = static_cast<std::size_t>(model_.dimensions.inputs());
-    batch.rows = static_cast<Index>(sequences.size());
+    const std::size_t n = model_.dimensions.coordinates(), u = model_.dimensions.inputs();
+    batch.rows = sequences.size();
     const auto normalised = [&](const float* from, std::vector<float>& to) {
       const std::size_t at = to.size();
       to.resize(at + n);
@@ -175,20 +184,20 @@ class Passes {
     for (std::size_t r = 0; r < sequences.size(); ++r) {
       const auto& s = sequences[r];
       const float* shapes = example(s.example).shapes.data();
-      const float* first = shapes + static_cast<std::size_t>(s.start) * n;
+      const float* first = shapes + s.start * n;
       normalised(first, batch.shape);
       for (std::size_t c = 0; c < n; ++c)
         batch.change.push_back(s.start == 0 ? 0.0f : (first[c] - (first - n)[c]) / kLength);
       for (const Index step : s.decoded) {
         batch.wanted.push_back({static_cast<Index>(r), step});
-        normalised(first + static_cast<std::size_t>(step) * n, batch.target);
+        normalised(first + step * n, batch.target);
       }
     }
     std::vector<double> raw(u);
     for (Index j = 0; j < sequences.front().steps; ++j) {
       Index m = 0;
-      for (; m < batch.rows && sequences[static_cast<std::size_t>(m)].steps > j; ++m) {
-        const auto& s = sequences[static_cast<std::size_t>(m)];
+      for (; m < batch.rows && sequences[m].steps > j; ++m) {
+        const auto& s = sequences[m];
         raw_inputs(example(s.example), s.start + j, s.knowledge, raw.data());
         for (std::size_t k = 0; k < u; ++k)
           batch.inputs.push_back(static_cast<float>((raw[k] - model_.input_mean[k]) / model_.input_sd[k]));
@@ -201,23 +210,13 @@ class Passes {
   static constexpr std::size_t kBatch = 32;
   static std::size_t batches(const std::vector<Sequence>& all) { return (all.size() + kBatch - 1) / kBatch; }
   Batch batch(const std::vector<Sequence>& all, std::size_t number) const {
-    const auto begin = all.begin() + static_cast<std::ptrdiff_t>(kBatch * number);
+    const auto begin = all.begin() + kBatch * number;
     return make_batch({begin, begin + std::min<std::ptrdiff_t>(kBatch, all.end() - begin)});
-  }
-  std::vector<Batch> in_batches(const std::vector<Sequence>& all) const {
-    std::vector<Batch> made;
-    for (std::size_t b = 0; b < batches(all); ++b) made.push_back(batch(all, b));
-    return made;
-  }
-
-  Tensor sigma_of(const Graph::Output& out) const {
-    const float floor = static_cast<float>(model_.architecture.sigma_floor_m) / kLength;
-    return at::exp(at::clamp_max(out.log_sigma, kLargestLogSigma)) + floor;
   }
 
   Graph::Output forward(const Graph& graph, const Batch& batch) const {
     const auto& d = model_.dimensions;
-    const auto total = static_cast<Index>(batch.inputs.size()) / d.inputs();
+    const Index total = batch.inputs.size() / d.inputs();
     return graph.forward(view(batch.shape.data(), batch.rows, d.coordinates()),
                          view(batch.change.data(), batch.rows, d.coordinates()),
                          view(batch.inputs.data(), total, d.inputs()), batch.running, batch.wanted,
@@ -225,17 +224,16 @@ class Passes {
   }
   /// The shapes that a batch's predictions are compared with, [wanted, columns].
   Tensor target(const Batch& batch) const {
-    const Tensor all =
-        view(batch.target.data(), static_cast<Index>(batch.wanted.size()), model_.dimensions.coordinates());
+    const Tensor all = view(batch.target.data(), batch.wanted.size(), model_.dimensions.coordinates());
     return batch.columns.empty() ? all : at::index_select(all, 1, at::tensor(batch.columns));
   }
 
   /// body(p) for every part, on the host's threads. Each part's products use one thread.
   template <class Body>
   void side_by_side(std::size_t parts, const Body& body) {
-    host_.parallel_for(static_cast<std::int64_t>(parts), [&](std::int64_t p) {
+    host_.parallel_for(parts, [&](std::int64_t p) {
       if (parts > 1) at::init_num_threads();  // libtorch counts threads per thread
-      body(static_cast<std::size_t>(p));
+      body(p);
     });
   }
 
@@ -244,15 +242,5 @@ class Passes {
   const Model& model_;
   Host& host_;
 };
-
-/// Errors of libtorch become ours: its exception types stay inside this library.
-template <class Body>
-void translated(const Body& body) {
-  try {
-    body();
-  } catch (const c10::Error& error) {
-    throw Error(std::string("libtorch: ") + error.what_without_backtrace());
-  }
-}
 
 }  // namespace weft::emd

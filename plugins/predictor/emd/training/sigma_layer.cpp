@@ -10,7 +10,9 @@
 namespace weft::emd {
 namespace {
 
-constexpr std::size_t kBatch = 32;
+constexpr std::int64_t kBatch = 32;
+constexpr std::uint64_t kFitStream = 0x7369676d61ull;     // "sigma"
+constexpr std::uint64_t kLossStream = 0x6865646f7574ull;  // "hedout"
 
 /// How sequences are drawn: half of them from the start, and a third each with exact knowledge, with none and between,
 /// for these are what is calibrated.
@@ -25,10 +27,8 @@ struct Terms {
   Tensor loss;         ///< [wanted]: mean over coordinates
   Tensor d_log_sigma;  ///< [wanted, coordinates]: of the sum of `loss` over shapes, times coordinates
 };
-Terms terms_of(const Passes& passes, const Model& model, const Graph::Output& out, const Batch& batch, double tails) {
-  const auto floor = static_cast<float>(model.architecture.sigma_floor_m) / kLength;
-  const Tensor e = at::exp(at::clamp_max(out.log_sigma, kLargestLogSigma));
-  const Tensor sigma = e + floor;
+Terms terms_of(const Passes& passes, const Graph::Output& out, const Batch& batch, double tails) {
+  const auto [e, sigma] = sigma_of(passes.model(), out.log_sigma);
   const Tensor r2 = at::square((out.mean - passes.target(batch)) / sigma);
   const Tensor near = at::clamp_max(r2, kTailEnd);
   // r^4 / 2 up to the end, its tangent beyond: near (r^2 - near / 2).
@@ -39,35 +39,34 @@ Terms terms_of(const Passes& passes, const Model& model, const Graph::Output& ou
 
 }  // namespace
 
-std::vector<float> fit_sigma_layer(const Passes& passes, const Model& model, const std::vector<std::size_t>& examples,
+std::vector<float> fit_sigma_layer(const Passes& passes, const std::vector<std::size_t>& examples,
                                    std::int64_t passes_over, double tails, std::uint64_t seed) {
   const at::NoGradGuard guard;
+  const Model& model = passes.model();
   const Layout layout(model.architecture, model.dimensions);
   std::vector<float> weights = model.weights;
   const Graph graph(model, weights.data(), nullptr);  // its tensors are views of `weights`
-  const auto& matrix = layout.weights[static_cast<std::size_t>(layout.sigma)];
-  const auto& bias = layout.weights[static_cast<std::size_t>(layout.sigma_bias)];
+  const auto& matrix = layout.weights[layout.sigma];
+  const auto& bias = layout.weights[layout.sigma_bias];
   Tensor layer[] = {view(weights.data() + matrix.offset, matrix.rows, matrix.columns),
                     view(weights.data() + bias.offset, bias.rows, bias.columns)};
   Tensor first[] = {at::zeros_like(layer[0]), at::zeros_like(layer[1])},
          second[] = {first[0].clone(), first[1].clone()};
-  const RandomStream streams(seed, 0x7369676d61ull);
+  const RandomStream streams(seed, kFitStream);
   const Training drawn = shares();
-  const auto iterations =
-      (passes_over * static_cast<std::int64_t>(examples.size()) + static_cast<std::int64_t>(kBatch) - 1) /
-      static_cast<std::int64_t>(kBatch);
+  const std::int64_t count = examples.size(), iterations = (passes_over * count + kBatch - 1) / kBatch;
   constexpr double kRate = 1e-3, kBeta1 = 0.9, kBeta2 = 0.99;
   for (std::int64_t k = 0; k < iterations && !passes.cancelled(); ++k) {
-    const RandomStream of_iteration = streams.child(static_cast<std::uint64_t>(k));
+    const RandomStream of_iteration = streams.child(k);
     std::vector<Sequence> sequences;
-    for (std::size_t b = 0; b < kBatch; ++b) {
+    for (std::int64_t b = 0; b < kBatch; ++b) {
       RandomStream random = of_iteration.child(b);
       const std::size_t i = examples[random.below(examples.size())];
       sequences.push_back(sample_sequence(i, passes.example(i), drawn, random));
     }
     const Batch batch = passes.make_batch(std::move(sequences));
     const Graph::Output out = passes.forward(graph, batch);
-    const Terms terms = terms_of(passes, model, out, batch, tails);
+    const Terms terms = terms_of(passes, out, batch, tails);
     const Tensor d = terms.d_log_sigma / static_cast<double>(terms.d_log_sigma.size(0));
     const Tensor gradients[] = {at::mm(out.hidden.t(), d), at::sum(d, {0}, true)};
     // Adam, its rate falling to 0 as half a cosine wave. Coordinates do not meet in this layer, so that their number
@@ -85,12 +84,12 @@ std::vector<float> fit_sigma_layer(const Passes& passes, const Model& model, con
   return weights;
 }
 
-double sigma_layer_loss(const Passes& passes, const Model& model, const std::vector<float>& weights,
+double sigma_layer_loss(const Passes& passes, const std::vector<float>& weights,
                         const std::vector<std::size_t>& examples, double tails, std::uint64_t seed) {
   const at::NoGradGuard guard;
   constexpr int kDraws = 4;
-  const Graph graph(model, weights.data(), nullptr);
-  const RandomStream streams(seed, 0x6865646f7574ull);
+  const Graph graph(passes.model(), weights.data(), nullptr);
+  const RandomStream streams(seed, kLossStream);
   const Training drawn = shares();
   std::vector<Sequence> all;
   for (const std::size_t i : examples) {
@@ -100,7 +99,7 @@ double sigma_layer_loss(const Passes& passes, const Model& model, const std::vec
   double sum = 0.0, count = 0.0;
   for (std::size_t b = 0; b < Passes::batches(all); ++b) {
     const Batch batch = passes.batch(all, b);
-    const Tensor loss = terms_of(passes, model, passes.forward(graph, batch), batch, tails).loss;
+    const Tensor loss = terms_of(passes, passes.forward(graph, batch), batch, tails).loss;
     sum += at::sum(loss).item<double>();
     count += static_cast<double>(loss.size(0));
   }

@@ -1,0 +1,33 @@
+#pragma once
+#include <filesystem>
+#include <string>
+#include <string_view>
+
+#include "weft/export.hpp"
+
+namespace weft {
+
+/// A file that appears whole or not at all. It is written under a temporary name in the same folder, and commit()
+/// renames it. Without commit() nothing is left. Temporary names are unique: several programs may write one file, and
+/// the last one to commit wins.
+class WEFT_API WholeFile {
+ public:
+  explicit WholeFile(std::filesystem::path file);
+  ~WholeFile();
+  WholeFile(const WholeFile&) = delete;
+  WholeFile& operator=(const WholeFile&) = delete;
+  /// Where to write: FILE.tmp<16 hexadecimal digits>.
+  const std::filesystem::path& temporary() const { return temporary_; }
+  /// Call it after the temporary file is closed. @throws Error naming the file and the reason.
+  void commit();
+  /// @throws Error "<file>: cannot be written: <reason>".
+  [[noreturn]] void fail(const std::string& reason) const;
+
+ private:
+  std::filesystem::path file_, temporary_;
+};
+
+/// Writes a file with this text, whole or not at all. @throws Error naming the file and the reason.
+WEFT_API void write_text(const std::filesystem::path& file, std::string_view text);
+
+}  // namespace weft

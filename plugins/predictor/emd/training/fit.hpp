@@ -1,0 +1,11 @@
+#pragma once
+
+namespace weft::emd {
+
+struct FitJob;
+
+/// Fits a model to the train split of the job's dataset, steered by the validation split; goes on from the job's
+/// checkpoint if there is one. @throws what TrainablePredictor::fit throws.
+void fit(FitJob& job);
+
+}  // namespace weft::emd

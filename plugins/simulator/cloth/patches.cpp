@@ -1,0 +1,216 @@
+#include "patches.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <iterator>
+
+#include "distances.hpp"
+
+namespace weft::cloth {
+namespace {
+
+using Point = std::array<double, 2>;
+
+double turn(const Point& o, const Point& a, const Point& b) {
+  return (a[0] - o[0]) * (b[1] - o[1]) - (a[1] - o[1]) * (b[0] - o[0]);
+}
+
+/// Counter-clockwise, by Andrew's monotone chain.
+std::vector<Point> convex_hull(std::vector<Point> points) {
+  std::sort(points.begin(), points.end());
+  points.erase(std::unique(points.begin(), points.end()), points.end());
+  std::vector<Point> hull;
+  for (int side = 0; side < 2; ++side) {
+    const std::size_t start = hull.size();
+    for (const Point& p : points) {
+      while (hull.size() >= start + 2 && turn(hull[hull.size() - 2], hull.back(), p) <= 0.0) hull.pop_back();
+      hull.push_back(p);
+    }
+    hull.pop_back();
+    std::reverse(points.begin(), points.end());
+  }
+  return hull;
+}
+
+/// Whether every edge of the mesh's border among these faces lies at the hull.
+bool border_is_at(const std::vector<Point>& hull, const Topology& topology, const std::vector<std::int32_t>& faces) {
+  const double near = 0.5 * topology.max_edge;
+  for (const std::int32_t f : faces)
+    for (int k = 0; k < 3; ++k) {
+      if (topology.opposite[f][k] >= 0) continue;
+      const Point &a = topology.rest[topology.faces[f][(k + 1) % 3]],
+                  &b = topology.rest[topology.faces[f][(k + 2) % 3]];
+      const Point middle{0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])};
+      double best = 1e300;
+      for (std::size_t j = 0; j < hull.size(); ++j)
+        best = std::min(best, segment_distance2(middle, hull[j], hull[(j + 1) % hull.size()]));
+      if (best > near * near) return false;
+    }
+  return true;
+}
+
+/// Whether shared vertices connect the faces.
+bool connected(const Topology& topology, const std::vector<std::int32_t>& faces) {
+  std::vector<std::int32_t> sorted(faces), seen(faces.size(), 0), stack{0};
+  std::sort(sorted.begin(), sorted.end());
+  std::size_t reached = 1;
+  seen[0] = 1;
+  while (!stack.empty()) {
+    const std::int32_t f = sorted[stack.back()];
+    stack.pop_back();
+    for (const std::int32_t v : topology.faces[f])
+      for (std::int32_t k = topology.face_of_vertex_start[v]; k < topology.face_of_vertex_start[v + 1]; ++k) {
+        const auto at = std::lower_bound(sorted.begin(), sorted.end(), topology.face_of_vertex[k]) - sorted.begin();
+        if (at == static_cast<std::ptrdiff_t>(sorted.size()) || sorted[at] != topology.face_of_vertex[k] || seen[at])
+          continue;
+        seen[at] = 1;
+        ++reached;
+        stack.push_back(static_cast<std::int32_t>(at));
+      }
+  }
+  return reached == faces.size();
+}
+
+/// One connected piece whose area fills its convex hull to 85 %, without cuts: every border edge lies at the hull.
+bool nearly_convex(const Topology& topology, const std::vector<std::int32_t>& faces) {
+  std::vector<Point> points;
+  double area = 0.0, hull_area = 0.0;
+  for (const std::int32_t f : faces) {
+    area += topology.area[f];
+    for (const std::int32_t v : topology.faces[f]) points.push_back(topology.rest[v]);
+  }
+  const std::vector<Point> hull = convex_hull(std::move(points));
+  for (std::size_t k = 0; k < hull.size(); ++k)
+    hull_area += 0.5 * turn({0.0, 0.0}, hull[k], hull[(k + 1) % hull.size()]);
+  return area >= 0.85 * hull_area && border_is_at(hull, topology, faces) && connected(topology, faces);
+}
+
+class Builder {
+ public:
+  Builder(const Topology& topology, PatchTree& tree)
+      : topology_(topology),
+        tree_(tree),
+        order_(topology.faces.size()),
+        vertex_taken_(topology.vertices, 0),
+        edge_taken_(topology.edges.size(), 0) {
+    for (std::size_t f = 0; f < order_.size(); ++f) order_[f] = static_cast<std::int32_t>(f);
+    std::stable_sort(order_.begin(), order_.end(),
+                     [&](std::int32_t f, std::int32_t g) { return component(f) < component(g); });
+    chain(0);
+  }
+
+ private:
+  std::int32_t component(std::int32_t face) const { return topology_.component[topology_.faces[face][0]]; }
+
+  /// Three times a coordinate of the face's centre in the rest shape, m.
+  double centre(std::int32_t face, int axis) const {
+    double sum = 0.0;
+    for (const std::int32_t v : topology_.faces[face]) sum += topology_.rest[v][axis];
+    return sum;
+  }
+
+  std::int32_t add_node() {
+    PatchNode node{};
+    node.left = node.right = node.patch = -1;
+    tree_.nodes.push_back(node);
+    return static_cast<std::int32_t>(tree_.nodes.size()) - 1;
+  }
+
+  /// Components hang in a chain: a node over the first and the rest of them.
+  std::int32_t chain(std::int32_t begin) {
+    const auto face_total = static_cast<std::int32_t>(order_.size());
+    std::int32_t end = begin;
+    while (end < face_total && component(order_[end]) == component(order_[begin])) ++end;
+    if (end == face_total) return split(begin, end);
+    const std::int32_t node = add_node();
+    const std::int32_t left = split(begin, end);
+    const std::int32_t right = chain(end);
+    tree_.nodes[node].left = left, tree_.nodes[node].right = right;
+    return node;
+  }
+
+  std::int32_t split(std::int32_t begin, std::int32_t end) {
+    const std::int32_t node = add_node();
+    const std::vector<std::int32_t> faces(order_.begin() + begin, order_.begin() + end);
+    tree_.nodes[node].convex = nearly_convex(topology_, faces);
+    if (end - begin <= 8) {
+      tree_.nodes[node].patch = static_cast<std::int32_t>(tree_.patches.size());
+      add_patch(faces);
+      return node;
+    }
+    const std::int32_t middle = part(begin, end);
+    const std::int32_t left = split(begin, middle);
+    const std::int32_t right = split(middle, end);
+    tree_.nodes[node].left = left, tree_.nodes[node].right = right;
+    return node;
+  }
+
+  /// Sorts the faces into two halves along the longer side of their box. @return where the second half begins.
+  std::int32_t part(std::int32_t begin, std::int32_t end) {
+    double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
+    for (std::int32_t k = begin; k < end; ++k)
+      for (int axis = 0; axis < 2; ++axis) {
+        low[axis] = std::min(low[axis], centre(order_[k], axis));
+        high[axis] = std::max(high[axis], centre(order_[k], axis));
+      }
+    const int axis = high[0] - low[0] >= high[1] - low[1] ? 0 : 1;
+    // Whole patches of eight on the left, so that few lanes stay empty.
+    const std::int32_t half = ((end - begin) / 2 + 7) / 8 * 8;
+    const std::int32_t middle = begin + std::min(half, end - begin - 1);
+    std::nth_element(order_.begin() + begin, order_.begin() + middle, order_.begin() + end,
+                     [&](std::int32_t f, std::int32_t g) {
+                       const double p = centre(f, axis), q = centre(g, axis);
+                       return p != q ? p < q : f < g;
+                     });
+    return middle;
+  }
+
+  void add_patch(const std::vector<std::int32_t>& faces) {
+    std::vector<std::int32_t> vertices, edges;
+    for (const std::int32_t f : faces) {
+      for (int k = 0; k < 3; ++k) {
+        const std::int32_t v = topology_.faces[f][k], w = topology_.faces[f][(k + 1) % 3];
+        if (!vertex_taken_[v]) vertex_taken_[v] = 1, vertices.push_back(v);
+        const std::array<std::int32_t, 2> edge{std::min(v, w), std::max(v, w)};
+        const auto at = static_cast<std::int32_t>(
+            std::lower_bound(topology_.edges.begin(), topology_.edges.end(), edge) - topology_.edges.begin());
+        if (!edge_taken_[at]) edge_taken_[at] = 1, edges.push_back(at);
+      }
+    }
+    Patch patch;
+    emit(tree_.faces, faces, patch.faces, [&](std::int32_t f, int c) { return topology_.faces[f][c]; });
+    emit(tree_.vertices, vertices, patch.vertices, [](std::int32_t v, int) { return v; });
+    emit(tree_.edges, edges, patch.edges, [&](std::int32_t e, int c) { return topology_.edges[e][c % 2]; });
+    tree_.patches.push_back(patch);
+  }
+
+  /// Appends primitives in blocks of eight. @param corner (primitive, k): its k-th vertex.
+  template <class Corner>
+  static void emit(std::vector<BoxBlock>& blocks, const std::vector<std::int32_t>& ids, std::int32_t (&range)[2],
+                   Corner&& corner) {
+    range[0] = static_cast<std::int32_t>(blocks.size());
+    for (std::size_t k = 0; k < ids.size(); ++k) {
+      if (k % 8 == 0) {
+        blocks.emplace_back();
+        std::fill(std::begin(blocks.back().id), std::end(blocks.back().id), -1);
+        for (int c = 0; c < 3; ++c)
+          for (int lane = 0; lane < 8; ++lane) blocks.back().corner[c][lane] = corner(ids[k], c);
+      }
+      blocks.back().id[k % 8] = ids[k];
+      for (int c = 0; c < 3; ++c) blocks.back().corner[c][k % 8] = corner(ids[k], c);
+    }
+    range[1] = static_cast<std::int32_t>(blocks.size());
+  }
+
+  const Topology& topology_;
+  PatchTree& tree_;
+  std::vector<std::int32_t> order_;  ///< faces; a node's are next to each other
+  std::vector<std::uint8_t> vertex_taken_, edge_taken_;
+};
+
+}  // namespace
+
+PatchTree::PatchTree(const Topology& topology) { Builder(topology, *this); }
+
+}  // namespace weft::cloth
