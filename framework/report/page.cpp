@@ -1,7 +1,6 @@
 #include "report/page.hpp"
 
 #include <algorithm>
-#include <boost/dll/runtime_symbol_info.hpp>
 #include <cmath>
 #include <fstream>
 #include <iterator>
@@ -140,7 +139,7 @@ ReportTemplate find_report_template() {
     return {"", std::string("WEFT_REPORT_TEMPLATE names ") + given + ", which is no file"};
   }
   // <prefix>/share/weft/report, seen from <prefix>/lib or <prefix>/lib/<multiarch>.
-  fs::path folder = fs::path(boost::dll::this_line_location().string()).parent_path();
+  fs::path folder = library_folder();
   for (int level = 0; level < 3 && folder.has_relative_path(); ++level) {
     folder = folder.parent_path();
     const fs::path share = folder / "share" / "weft" / "report";
