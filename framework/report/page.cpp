@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "report/page_data.hpp"
+#include "sdk/files.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/simulator.hpp"
 
