@@ -8,6 +8,7 @@ Usage: check_documents.py ROOT
 - A path of the source tree that is written as code exists. `weft/X.hpp` is a header of the contract, `room/X` a file
   of a room of framework/. Words in capitals (KIND, NAME) and <...> stand for something.
 - Where a path stands beside a name, as "`name` in `path`" or "`path` (`name`)", the name occurs in that file.
+- An empty line stands before each list and table: mkdocs shows them as text otherwise, though GitHub does not.
 - These pages keep their length: README.md, docs/write-a-plugin.md.
 Old records may name what was there then: CHANGELOG.md and docs/measurements/ are checked for links only.
 """
@@ -100,6 +101,17 @@ def check_names(root, page, text, fail):
                     fail(page, number, f"looks for {name} in {path}, where it is not")
 
 
+def check_blocks(page, text, fail):
+    before, in_list = "", False
+    for number, line in enumerate(prose(text), 1):
+        item, table = re.match(r"\s*([-*]|\d+\.) ", line), line.startswith("|")
+        free = not before.strip() or before.startswith("#")
+        if (item and not free and not in_list) or (table and not free and not before.startswith("|")):
+            fail(page, number, "a list or table needs an empty line before it")
+        in_list = bool(item) or (in_list and (line.startswith(" ") or not free))
+        before = line
+
+
 def check(root):
     """@return what is wrong, one line each, and the number of pages."""
     wrong = []
@@ -111,6 +123,7 @@ def check(root):
     for page in pages:
         text = page.read_text()
         check_links(root, page, text, fail)
+        check_blocks(page, text, fail)
         name = page.relative_to(root).as_posix()
         if name != "CHANGELOG.md" and not name.startswith("docs/measurements/"):
             check_names(root, page, text, fail)

@@ -74,6 +74,12 @@ class Documents(unittest.TestCase):
         self.assertEqual([], self.wrong("`framework/src/none.cpp`\n", "docs/measurements/old.md"))
         self.assertEqual(1, len(self.wrong("[a](none.md)\n", "docs/measurements/old.md")))
 
+    def test_refuses_blocks_that_mkdocs_shows_as_text(self):
+        self.assertEqual([], self.wrong("# Here\n- a\n- b\n  c\n- d\n\ntext\n\n1. a\n\n| a |\n|---|\n| b |\n"))
+        self.assertRegex(self.wrong("text\n- a\n")[0], "README.md:2: a list or table needs an empty line")
+        self.assertRegex(self.wrong("- a\n\ntext\n- b\n")[0], "README.md:4: a list")
+        self.assertRegex(self.wrong("text\n| a |\n|---|\n")[0], "README.md:2: a list or table")
+
     def test_refuses_a_long_readme(self):
         self.assertEqual([], self.wrong("a\n" * 90))
         self.assertRegex(self.wrong("a\n" * 91)[0], "91 lines")
