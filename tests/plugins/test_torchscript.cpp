@@ -446,7 +446,7 @@ TEST_F(TorchScript, RefusesOtherTasksAndDamage) {
   EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("takes 4 arguments, must take 5"));
   write_metadata();
   std::ofstream(folder_ / "m.pt", std::ios::binary) << "PK\x03\x04 no module";
-  EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("is no TorchScript file"));
+  EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("is not a TorchScript file"));
   TorchScriptPredictor none(Params{}, *host_);
   EXPECT_THAT(message_of<ConfigError>([&] { none.bind(task_); }), HasSubstr("params.module"));
   EXPECT_THROW(none.predict({}, {}), Error);
