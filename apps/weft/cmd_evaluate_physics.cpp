@@ -34,7 +34,7 @@ std::string to_json(const std::vector<PhysicsRow>& rows) {
   return nlohmann::ordered_json{{"comparisons", rows.size()}, {"failed", failed}, {"rows", list}}.dump(2) + '\n';
 }
 
-/// RFC 4180: quotes around what people wrote.
+/// RFC 4180: quotes around free text.
 std::string to_csv(const std::vector<PhysicsRow>& rows) {
   const auto quoted = [](const std::string& text) {
     std::string out = "\"";

@@ -118,7 +118,9 @@ void register_export(CLI::App& app, Context& context) {
         return is_frame(text) ? std::string() : text + ", must be last, all, or the number of a frame";
       })
       ->allow_extra_args(false);
-  command->add_option("--every", options->every, "Every n-th frame of 1/60 s; the last ones are always there")
+  command
+      ->add_option("--every", options->every,
+                   "Every n-th frame of 1/60 s; the release and the last frame are always included")
       ->check(within(std::size_t{1}, std::size_t{100000}))
       ->capture_default_str();
   command->add_option("--size", options->size, "Size of the stills in pixels")->capture_default_str();

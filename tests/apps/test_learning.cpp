@@ -293,7 +293,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_THAT(refused(with_fresh), HasSubstr("--out MODEL is required"));
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "x")), HasSubstr("must end in .h5"));
   EXPECT_THAT(refused(command + "--out " + quoted(folder / "x.h5")), HasSubstr("--data FOLDER is required"));
-  EXPECT_THAT(refused(with_fresh + " --out " + quoted(model)), HasSubstr("is the model that is calibrated"));
+  EXPECT_THAT(refused(with_fresh + " --out " + quoted(model)), HasSubstr("is the model to calibrate"));
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(model / "x.h5")), HasSubstr("its folder cannot be made"));
   std::filesystem::create_directory(folder / "folder.h5");
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "folder.h5")), HasSubstr("is a folder"));
@@ -311,7 +311,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   // What it was trained on, without the validation split.
   ASSERT_EQ(weft_command("dataset split " + quoted(known) + " --out " + quoted(folder / "s")).code, 0);
   EXPECT_THAT(refused(command + "--data " + quoted(fresh) + " " + quoted(folder / "s/train") + to_x),
-              HasSubstr("s/train: holds no example outside of its test split"));
+              HasSubstr("s/train: outside its test split it holds only examples that the model was trained on"));
   EXPECT_FALSE(std::filesystem::exists(folder / "x.h5"));
   EXPECT_FALSE(std::filesystem::exists(folder / "x.calibration.json"));
 }

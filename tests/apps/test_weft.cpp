@@ -64,11 +64,11 @@ TEST(Program, WrongUseExitsWithTwoAndSaysWhy) {
 TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
   const std::string experiments = WEFT_SOURCE_DIR "/configs/experiments/";
   const std::pair<std::string, std::string> cases[] = {
-      {"pln x", "'pln' is no command of weft, must be one of run, plan, "},
+      {"pln x", "'pln' is not a command of weft, must be one of run, plan, "},
       {"pln x", "; nearest: plan\n"},
-      {"bogus --help", "'bogus' is no command of weft, must be one of "},
-      {"evaluate fig3 x.yaml", "'fig3' is no command of weft evaluate, must be one of "},
-      {"garment towl --out x.obj", "'towl' is no command of weft garment, must be one of towel, tshirt, "},
+      {"bogus --help", "'bogus' is not a command of weft, must be one of "},
+      {"evaluate fig3 x.yaml", "'fig3' is not a command of weft evaluate, must be one of "},
+      {"garment towl --out x.obj", "'towl' is not a command of weft garment, must be one of towel, tshirt, "},
       {"plan x.yaml --session y --segment 0", "--segment: 0, must be at least 1"},
       {"garment towel --out x.obj --width nan", "--width: nan, must be in ["},
       {"evaluate planning x.yaml --widths nan", "--widths: nan, must be in [0, 1]"},

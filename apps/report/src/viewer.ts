@@ -38,8 +38,8 @@ void main() {
 
 const kLabelHeight = 0.045;  // of the scale along the grid, as a tangent of the angle it fills
 
-// Grid and shadow lie under everything, and the camera stays above them: drawn first, they need no depth, and cloth that
-// lies a millimetre above them is never hidden by rounding.
+// Grid and shadow lie under everything, and the camera stays above them. So they are drawn first, without depth, and
+// rounding never hides cloth that lies a millimetre above them.
 const kOnTheGround = { depthTest: false, depthWrite: false };
 
 /** A colour as the bytes on the screen: the shader writes what it gets. */
@@ -53,7 +53,7 @@ function surfaceMaterial(opacity: number): ShaderMaterial {
     polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
     uniforms: {
       front: { value: new Color() }, back: { value: new Color() }, eye: { value: new Vector3(0, 0, 1) }, opacity: { value: opacity },
-      // Where an overlay lies within a few millimetres of the cloth, the cloth is what shows.
+      // The cloth hides overlays within a few millimetres of it.
       recede: { value: opacity < 1 ? 0.006 : 0 }, range: { value: 1 }, coloured: { value: false }, map: { value: null },
     },
   });
@@ -120,7 +120,7 @@ export type Overlay = 'goal' | 'prediction';
 export class Viewer {
   readonly element: HTMLElement;
   readonly canvas: HTMLCanvasElement | null = null;
-  /** Frames drawn so far; tests measure with it. */
+  /** Frames drawn so far, which tests read. */
   drawn = 0;
   private renderer: WebGLRenderer | null = null;
   private readonly scene = new Scene();
@@ -134,7 +134,7 @@ export class Viewer {
   private readonly lines = new Map<string, { line: Line2; colour: string }[]>();
   private readonly hands: Mesh[] = [];
   private readonly extent: Vector3[] = [];
-  /** The view that holds while nobody turns it. */
+  /** The view until somebody turns it. */
   private preset: 'reset' | 'side' | 'top' | null = 'reset';
   private groundKey = '';
   private queued = false;
