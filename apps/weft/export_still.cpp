@@ -21,7 +21,7 @@ constexpr double kNear = 0.02;
 
 /// Seen from outside the shape: a pinhole camera that looks at a point, z up.
 struct Camera {
-  /// Puts all points into the picture, whatever the direction and the picture's shape.
+  /// Puts all points into the picture, for any direction and any shape of the picture.
   Camera(const std::vector<Vector3d>& points, const Vector3d& direction, int width, int height) {
     const double tangent = std::tan(17.5 * std::numbers::pi / 180.0);  // half the field of view, as on the page
     back = direction.normalized();

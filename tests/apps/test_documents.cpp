@@ -1,4 +1,4 @@
-// Links in the documents lead somewhere, and tables of parameters are the program's.
+// Links in the documents lead to files, and tables of parameters are those of the program.
 #include <fstream>
 #include <regex>
 

@@ -182,7 +182,7 @@ export function decodeFaces(ref: ArrayRef): Uint32Array {
   return Uint32Array.from(decode(ref));
 }
 
-/** Shapes [n, V, 3], decoded when first looked at. */
+/** Shapes [n, V, 3], decoded on first use. */
 export class Shapes {
   private values: Float32Array | null = null;
   readonly count: number;

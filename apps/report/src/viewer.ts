@@ -42,7 +42,7 @@ const kLabelHeight = 0.045;  // of the scale along the grid, as a tangent of the
 // rounding never hides cloth that lies a millimetre above them.
 const kOnTheGround = { depthTest: false, depthWrite: false };
 
-/** A colour as the bytes on the screen: the shader writes what it gets. */
+/** A colour as the bytes on the screen, since the shader writes its inputs unchanged. */
 function screenColour(name: string): Color {
   return new Color().setStyle(cssColour(name), LinearSRGBColorSpace);
 }
@@ -200,7 +200,7 @@ export class Viewer {
       h('button', { onclick: () => this.view('side'), title: 'From the side (2)' }, 'Side'),
       h('button', { onclick: () => this.view('top'), title: 'From above (3)' }, 'Top'),
       h('button', { onclick: () => this.view('reset'), title: 'Reset the view (R)' }, 'Reset'),
-      h('button', { onclick: () => this.save(), title: 'Save what is shown as a PNG file' }, 'Save PNG')));
+      h('button', { onclick: () => this.save(), title: 'Save this view as a PNG file' }, 'Save PNG')));
     new ResizeObserver(() => this.resize()).observe(this.element);
     onTheme(() => this.paint());
   }
@@ -301,7 +301,8 @@ export class Viewer {
     controls.target.set(0, 0, 0);
     for (const seen of this.extent) controls.target.addScaledVector(seen, 1 / this.extent.length);
     let distance = 2;
-    // A few steps of centring and scaling put everything into the picture, whatever the direction and the picture's shape.
+    // A few steps of centring and scaling put everything into the picture, for any direction and any shape of the
+    // picture.
     const point = new Vector3();
     for (let step = 0; step < 12; ++step) {
       camera.position.copy(controls.target).addScaledVector(direction, distance);

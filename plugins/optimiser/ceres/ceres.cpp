@@ -236,7 +236,7 @@ SolverOutcome outcome(const PointwiseSearch& search, ::ceres::TerminationType ty
 
 Ceres::Ceres(const Params& params)
     : p_(params), least_squares_(params.method == "levenberg_marquardt" || params.method == "dogleg") {
-  // Ceres logs some problems whatever its options say; they come back in OptimiserResult::message.
+  // Ceres logs some problems even with its logging off. OptimiserResult::message reports them.
   static std::once_flag once;
   std::call_once(once, [] { FLAGS_minloglevel = google::GLOG_FATAL; });
   std::string error;

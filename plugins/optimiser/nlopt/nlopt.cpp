@@ -65,7 +65,7 @@ struct Problem {
   double factor = 1.0;  // on the cost
   bool spent = false;
   std::exception_ptr error;
-  // The start, which is evaluated before NLopt runs and asked for again by most algorithms.
+  // The start, which is evaluated before NLopt runs. Most algorithms evaluate it again.
   Vector start;
   PointValue start_value;
   double worst = 0.0;  // finite cost seen

@@ -393,8 +393,7 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
   double knowledge_derivative(std::size_t i, Index entry, const std::vector<ShapeCotangent>& cotangents) const {
-    if (entry >= 4 && samples_ == 1)
-      return 0.0;  // a single sample sits in the middle of the interval, whatever its width
+    if (entry >= 4 && samples_ == 1) return 0.0;  // a single sample sits in the middle of an interval of any width
     const auto& knowledge = cases_[i].knowledge;
     const double value = entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4);
     double step = owner_.params_.knowledge_step;

@@ -46,7 +46,7 @@ struct Output {
 
 /// forward() with the metadata's normalisation around it. The normalisation is part of the graph, so autograd
 /// differentiates it, too.
-/// @throws Error naming what the module returned and what it must return.
+/// @throws Error with the returned and the required result.
 Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>& inputs) {
   const double unit = bound.metadata.length_unit_m;
   const auto length = [&](const Tensor& x) { return unit == 1.0 ? x : x / unit; };
@@ -55,7 +55,7 @@ Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>&
   c10::IValue result;
   try {
     result = bound.module.forward(values);
-  } catch (const std::exception& error) {  // libtorch's own, and what the module's code throws
+  } catch (const std::exception& error) {  // from libtorch, or from the module's code
     const std::string text = error.what();
     throw Error(bound.name + ": forward() failed: " + text.substr(0, 400));
   }

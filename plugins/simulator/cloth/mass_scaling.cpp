@@ -116,8 +116,8 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
 
 double MassScaling::largest(
     const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness) const {
-  // L is singular: it maps to 0 what is constant on a piece of the cloth, and so does K. A shift of its diagonal hardly
-  // changes r.
+  // L is singular: it maps fields that are constant on a piece of the cloth to 0, and so does K. A shift of its
+  // diagonal hardly changes r.
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> solver(
       laplacian_ + 1e-9 * Eigen::SparseMatrix<double>(laplacian_.diagonal().asDiagonal()));
   const auto n = static_cast<std::size_t>(laplacian_.rows());

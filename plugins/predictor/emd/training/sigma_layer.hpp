@@ -10,7 +10,7 @@ class Passes;
 
 /// The loss of the sigma layer: with r = (x - mu) / sigma, the mean over coordinates of
 ///   log sigma + (1 - 3 t) r^2 / 2 + t r^4 / 4.
-/// For normal errors its minimum lies at sigma's true value, whatever t is. With t > 0 sigma gets wider where errors
+/// For normal errors its minimum lies at sigma's true value, for any t. With t > 0 sigma gets wider where errors
 /// have heavy tails. There the plain likelihood (t = 0) leaves a mean squared error that comes from a few shapes.
 /// Beyond r^2 = kTailEnd the term r^4 continues linearly in r^2, so that no single buckle dominates.
 inline constexpr float kTailEnd = 60.0f;
