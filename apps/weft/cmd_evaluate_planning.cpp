@@ -51,7 +51,7 @@ void register_evaluate_planning(CLI::App& app, Context& context) {
   auto widths = std::make_shared<std::vector<double>>();
   for (int i = 1; i <= 10; ++i) widths->push_back(i / 10.0);
   add_evaluation_options(*command, *options);
-  command->add_option("--widths", *widths, "w of all properties")->check(within(0.0, 1.0));
+  command->add_option("--widths", *widths, "Widths w of the knowledge of all properties")->check(within(0.0, 1.0));
   command->callback([&context, options, widths] {
     context.action = [&context, options, widths] { return evaluate(context, *options, *widths); };
   });

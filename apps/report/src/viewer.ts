@@ -470,8 +470,7 @@ export class Viewer {
   }
 }
 
-/**
- * What draws: null where there is no WebGL (asked here, because three.js would report it on the console). Software
+ * How WebGL draws, or null without WebGL. (Tested here, because three.js would report it on the console.) Software
  * renderers cannot afford several samples per pixel.
  */
 function webGl(): { software: boolean } | null {

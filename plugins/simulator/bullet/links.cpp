@@ -86,7 +86,7 @@ void match_moduli(std::vector<double>& k, const std::vector<Vec2>& directions, c
 /// by coordinate descent. @param misfit root mean square.
 std::vector<double> fit_form(const std::vector<Element>& elements, const Form& target, const Patches& patches,
                              const std::vector<double>& areas, double& misfit) {
-  constexpr double tie = 1.0;  // less fits better but less evenly, and uneven networks are softer than their mean
+  constexpr double tie = 1.0;  // a smaller one fits better but less evenly; uneven networks are softer than their mean
   constexpr int sweeps = 60;
   const auto& parts = patches.parts;
   const auto& patch = patches.area;

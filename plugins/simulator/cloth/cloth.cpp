@@ -13,7 +13,7 @@ namespace {
 // at most this long. (In longer blocks more pairs may meet, and every substep measures them all.)
 constexpr Index kBlock = 8;
 constexpr double kBlockSeconds = 1.2e-3;
-// Allowed gain in speed of a vertex within a block, m/s^2; a faster one ends its block early.
+// Allowed acceleration of a vertex within a block, m/s^2; a vertex with a larger one ends its block early.
 constexpr float kGain = 3.0f;
 // A layer may sink into another by this part of the thickness under its own weight. Only long steps come near this
 // limit. Springs that are soft along the normal are soft along the layer, too: at 0.08 a layer of 1 mm moved 0.12 mm
