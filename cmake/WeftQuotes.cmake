@@ -42,7 +42,7 @@ while(TRUE)
   string(SUBSTRING "${rest}" 0 ${begin} before)
   string(SUBSTRING "${rest}" ${begin} -1 rest)
   if(NOT rest MATCHES "^(<!-- quote: ([^ \n]+)( from \"([^\"\n]+)\" to \"([^\"\n]+)\")? -->\n```[a-z]*\n)")
-    message(FATAL_ERROR "${GUIDE}: quote ${count} is no `<!-- quote: file -->` or `<!-- quote: file from \"...\" to \"...\" -->` "
+    message(FATAL_ERROR "${GUIDE}: quote ${count} is not a `<!-- quote: file -->` or `<!-- quote: file from \"...\" to \"...\" -->` "
                         "line followed by a fenced block")
   endif()
   set(head "${CMAKE_MATCH_1}")

@@ -165,7 +165,7 @@ void export_gltf(const std::filesystem::path& file, const SessionRecord& session
   const bool binary = file.extension() != ".gltf";
   WholeFile whole(file);
   if (!writer.WriteGltfSceneToFile(&model, whole.temporary().string(), true, true, false, binary))
-    whole.fail("see whether its folder is there and has room");
+    whole.fail("check that its folder exists and has room");
   whole.commit();
 }
 

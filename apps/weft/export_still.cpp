@@ -21,7 +21,7 @@ constexpr double kNear = 0.02;
 
 /// Seen from outside the shape: a pinhole camera that looks at a point, z up.
 struct Camera {
-  /// Puts all points into the picture, whatever the direction and the picture's shape.
+  /// Puts all points into the picture, for any direction and any shape of the picture.
   Camera(const std::vector<Vector3d>& points, const Vector3d& direction, int width, int height) {
     const double tangent = std::tan(17.5 * std::numbers::pi / 180.0);  // half the field of view, as on the page
     back = direction.normalized();
@@ -88,7 +88,7 @@ struct Canvas {
       }
     }
   }
-  /// A line of the given thickness in samples, hidden by what is nearer by more than the slack.
+  /// A line of the given thickness in samples, hidden where something is nearer by more than the slack.
   void line(const Vector3d& a, const Vector3d& b, double thickness, const Colour& paint, float opacity, float slack) {
     if (std::min(a.z(), b.z()) < kNear) return;
     const int steps = static_cast<int>(std::max(std::abs(b.x() - a.x()), std::abs(b.y() - a.y()))) + 1;
@@ -300,7 +300,7 @@ double write_still(const std::filesystem::path& file, const SessionRecord& sessi
       const double side = goal.faces_camera(f, camera) ? 1 : -1;
       const auto p = corners(goal, f);
       canvas.triangle(p[0], p[1], p[2], [&](std::size_t i, double u, double v, double w, float inverse) {
-        // As on the page: within a few millimetres of the cloth, the cloth is what shows.
+        // As on the page, the cloth hides everything within a few millimetres of it.
         const float behind = inverse / (1.0f + 0.006f * inverse);
         if (behind <= canvas.near[i] || inverse <= tint[i].first) return;
         tint[i] = {inverse, (static_cast<float>(goal.light(f, u, v, w, side, camera)) * rgb(0x00855f)).cwiseMin(1.0f)};

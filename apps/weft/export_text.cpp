@@ -12,7 +12,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A text that grows line by line, of a file that appears whole or not at all.
+/// Writes a text line by line; the file appears whole or not at all.
 class TextFile {
  public:
   explicit TextFile(fs::path file) : whole_(std::move(file)), stream_(whole_.temporary()) {}
@@ -25,7 +25,7 @@ class TextFile {
   void text(const std::string& text) { stream_ << text; }
   void commit() {
     stream_.close();
-    if (!stream_) whole_.fail("see whether its folder is there and has room");
+    if (!stream_) whole_.fail("check that its folder exists and has room");
     whole_.commit();
   }
 
@@ -37,8 +37,7 @@ class TextFile {
 fs::path make_folder(const fs::path& folder) {
   std::error_code error;
   fs::create_directories(folder, error);
-  if (!fs::is_directory(folder))
-    throw ConfigError(folder.string() + ": is no folder that can be made: " + error.message());
+  if (!fs::is_directory(folder)) throw ConfigError(folder.string() + ": the folder cannot be made: " + error.message());
   return folder;
 }
 

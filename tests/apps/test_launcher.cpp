@@ -60,7 +60,7 @@ TEST_F(Launcher, ConfiguresBuildsAndRunsInTheCallersFolder) {
   EXPECT_THAT(first.output, HasSubstr("weft in " + (folder_ / "else where").string() + ": run a b.yaml --set x=1\n"));
   EXPECT_THAT(log(), AllOf(HasSubstr("-DCMAKE_BUILD_TYPE=Release"), HasSubstr("-DWEFT_BUILD_TESTS=OFF"),
                            HasSubstr("build/release weft_programs"), Not(HasSubstr("apt-get"))));
-  // The second time it says nothing and configures nothing.
+  // The second run prints nothing and configures nothing.
   const auto second = launch("plugins 2>&1 >/dev/null");
   EXPECT_THAT(second.output, IsEmpty());
   EXPECT_THAT(log(), AllOf(StartsWith("ninja "), Not(HasSubstr("cmake"))));

@@ -1,4 +1,4 @@
-// What SimulatorBase does for every simulator that derives from it.
+// The common work of SimulatorBase for every simulator that derives from it.
 #include <cmath>
 #include <limits>
 

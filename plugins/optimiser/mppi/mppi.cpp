@@ -95,7 +95,7 @@ std::vector<OptimiserResult> Mppi::minimise(Objective& objective, ConstMatrix st
     it.sigma = (beta * square.cwiseSqrt() + (1.0 - beta) * it.sigma).cwiseMax(floor);
   };
 
-  // What an instance makes of its population.
+  // Updates an instance from its population.
   const auto update = [&](Instance& it, Index iteration) {
     std::vector<Index> finite;
     for (Index k = 0; k < it.costs.size(); ++k) {
@@ -110,7 +110,7 @@ std::vector<OptimiserResult> Mppi::minimise(Objective& objective, ConstMatrix st
     if (it.result.iterations >= options.max_iterations || it.result.evaluations >= options.max_evaluations)
       return it.stop(OptimiserStatus::budget_spent, "");
     ++it.result.iterations;
-    if (finite.empty()) return;  // other samples next time
+    if (finite.empty()) return;  // the next iteration draws other samples
     if (p_.method == "cem")
       cross_entropy_update(it, finite, iteration);
     else

@@ -10,10 +10,10 @@
 namespace weft::emd {
 namespace {
 
-constexpr Index kMostRows = 16;     // per block: what fits the second-level cache together with a layer
+constexpr Index kMostRows = 16;     // per block: these rows and one layer fit into the second-level cache
 constexpr Index kMostWanted = 512;  // per block: bounds the memory of a decoded block
 
-/// One block of cases with what is needed to differentiate it.
+/// One block of cases, and what its derivatives need.
 struct Part {
   std::vector<std::size_t> cases;  // row -> case
   Block block;
@@ -100,7 +100,7 @@ class EmdPrediction final : public PlainPrediction {
     }
   }
 
-  /// States and grasp targets of every case. One that a trajectory cannot follow has failed and joins no block.
+  /// States and grasp targets of every case. A case that the trajectory cannot follow fails and joins no block.
   void make_inputs(const std::vector<PredictionCase>& cases) {
     inputs_.resize(cases.size());
     for (std::size_t i = 0; i < cases.size(); ++i) {
@@ -113,7 +113,7 @@ class EmdPrediction final : public PlainPrediction {
     }
   }
 
-  /// Cases in order of descending length, in blocks that share the threads evenly.
+  /// Sorts the cases by descending length into blocks that share the threads evenly.
   void make_parts(const std::vector<PredictionCase>& cases) {
     std::vector<std::size_t> order;
     for (std::size_t i = 0; i < cases.size(); ++i) {
@@ -125,7 +125,7 @@ class EmdPrediction final : public PlainPrediction {
     if (count == 0) return;
     const Index threads = std::max(1, host_.threads());
     const Index blocks = std::max((count + kMostRows - 1) / kMostRows, std::min(threads, (count + 3) / 4));
-    // Block b takes every blocks-th case: blocks of like length.
+    // Block b takes every blocks-th case, so that all blocks hold similar lengths.
     std::vector<std::vector<std::size_t>> rows(static_cast<std::size_t>(blocks));
     for (std::size_t i = 0; i < order.size(); ++i) rows[i % static_cast<std::size_t>(blocks)].push_back(order[i]);
     for (auto& part_rows : rows) {
@@ -192,7 +192,7 @@ class EmdPrediction final : public PlainPrediction {
       }
       if (!shape.mean.allFinite() || !shape.sigma.allFinite()) {
         failures_[i] = "emd: the prediction after " + std::to_string(block.wanted[w].step) +
-                       " segments is not finite; the inputs lie far outside of what it was trained on";
+                       " segments is not finite; the inputs lie far outside the training data";
       }
     }
     for (const auto i : part.cases) {
@@ -385,10 +385,10 @@ std::vector<DatasetOrigin> EmdPredictor::trained_on() const {
 CalibrationReport EmdPredictor::calibrate(const Dataset& dataset, const std::vector<std::size_t>& examples,
                                           const Task& task, const CalibrationOptions& options) {
   if (!model_) bind(task);
-  if (model_->dataset.empty()) throw ConfigError("emd: a network of random weights has nothing to calibrate");
+  if (model_->dataset.empty()) throw ConfigError("emd: a network of random weights cannot be calibrated");
   model_->require_task(task, params_.other_fabric == "warn");
   dataset.require_task(task);
-  if (examples.empty()) throw ConfigError("emd: there is no example to calibrate with");
+  if (examples.empty()) throw ConfigError("emd: no examples to calibrate with");
   for (const std::size_t i : examples) {
     if (i >= dataset.examples.size() || dataset.examples[i].failed())
       throw ShapeError("emd: the dataset has no good example at position " + std::to_string(i));
@@ -397,7 +397,7 @@ CalibrationReport EmdPredictor::calibrate(const Dataset& dataset, const std::vec
   CalibrationJob job{dataset, examples, params_.training, options.seed, host_, *model_, {}};
   run(job);
   job.model.calibrated = dataset.origins();
-  // In the precision it came in: what was stored as halves is whole as halves.
+  // A model that came in half precision is saved in half precision again.
   if (!options.model.empty()) save_model(options.model, job.model, fits_half(job.model));
   model_ = std::make_shared<const Model>(std::move(job.model));
   bound_.reset();

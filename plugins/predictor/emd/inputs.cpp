@@ -54,7 +54,7 @@ void CaseInputs::pullback(const Model& model, const std::vector<const float*>& d
                   static_cast<double>(model.input_sd[static_cast<std::size_t>(i)]);
     }
   }
-  // What the inputs of segment j say of a state, directly and through its targets.
+  // The gradient that the inputs of segment j pass to a state, directly and through its targets.
   const auto add_state = [&](Index row, Index j, Index state_at, Index targets_at, Vector& d_state) {
     d_state += raw.row(j).segment(state_at, dim_.states).transpose();
     const Positions d_targets = Eigen::Map<const Positions>(raw.row(j).data() + targets_at, dim_.hands, 3);

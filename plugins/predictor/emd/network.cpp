@@ -142,7 +142,7 @@ void Network::encode(const Block& block, Tape& tape) const {
 
 void Network::advance(const Block& block, Tape& tape) const {
   const Index hidden = arch_.hidden, u = dim_.inputs(), total = block.total();
-  // What the inputs contribute to each layer is independent of the state: one product for all segments.
+  // The inputs' contribution to each layer does not depend on the state, so one product serves all segments.
   const auto layers = layer_h_.size();
   tape.pre.resize(layers);
   tape.post.resize(layers);
@@ -348,7 +348,7 @@ void Network::jvp(const Block& block, const Tape& tape, const std::vector<Index>
   const auto directions = static_cast<Index>(base.size());
   const auto most = static_cast<Index>(tape.running.size());
   const auto layers = layer_h_.size();
-  // Directions of rows that still run come first, since rows are ordered by descending steps and base ascends.
+  // Rows are ordered by descending steps and base ascends, so directions of rows that still run come first.
   std::vector<float> z(size_of(directions, z_), 0.0f);
   std::vector<std::vector<float>> history{z};
   std::vector<float> slope(size_of(directions, hidden));

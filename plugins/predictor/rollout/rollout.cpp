@@ -172,14 +172,14 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
  private:
-  /// Of the first `last` segments of a case those whose controls move anything: up to its release.
+  /// Number of segments among the first `last` of a case whose controls have an effect: those up to its release.
   Index active_segments(std::size_t i, Index last) const {
     const Index release = runs_[i * samples_].release;
     return release > 0 ? std::min(last, release) : last;
   }
 
-  /// Change of every requested shape along a direction, by differences whose step moves no control by more than `step`
-  /// scales and no knowledge by more than `knowledge_step`.
+  /// Change of every requested shape along a direction, by finite differences. The step moves no control by more than
+  /// `step` scales and no knowledge by more than `knowledge_step`.
   std::vector<ShapeCotangent> jvp(std::size_t i, const CaseDirection& direction) const {
     const auto& one = cases_[i];
     const auto variables = owner_.task_.trajectory->controls();
@@ -249,14 +249,15 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
   /// Simulates from the start of `from` (0-based segment; its snapshot must be taken) to the last requested segment.
-  /// @param settle_frames of a perturbed run. @param record the unperturbed run, which settles to the end.
+  /// @param settle_frames frames of settling in a perturbed run. @param record true for the unperturbed run, which
+  /// settles to the end.
   void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state,
                Index release, Index settle_frames, std::vector<Positions>& shapes, Run* record) const {
     const auto& task = owner_.task_;
     const auto& trajectory = *task.trajectory;
     const Index last = one.segments.empty() ? 0 : one.segments.back();
     for (Index j = from; j < last; ++j) {
-      if (release > 0 && j >= release) {  // meaningless segments after the release (section 4): the settled shape stays
+      if (release > 0 && j >= release) {  // segments after the release have no effect (section 4)
         shapes.push_back(shapes.back());
         if (record) record->early.push_back(record->early.back());
         continue;
@@ -332,7 +333,7 @@ class RolloutPrediction final : public PlainPrediction {
     return sum;
   }
 
-  /// Shapes of a case under other controls, which equal its own before segment `from`, and under other knowledge.
+  /// Shapes of a case with other controls, equal to its own before segment `from`, and with other knowledge.
   std::vector<ShapeDistribution> perturbed(std::size_t i, const Controls& controls, Index from,
                                            const MaterialKnowledge& knowledge) const {
     const auto& one = cases_[i];
@@ -352,7 +353,7 @@ class RolloutPrediction final : public PlainPrediction {
         first = from;
         shapes[s].assign(run.shapes.begin(), run.shapes.begin() + from);
       }
-      // As many frames as the unperturbed run: what differs is then the controls' doing alone.
+      // As many frames as the unperturbed run, so that only the controls make a difference.
       advance(*lease, one, controls, first, state, run.release, run.early_frames, shapes[s], nullptr);
       sampled.push_back(&shapes[s]);
     }
@@ -392,8 +393,7 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
   double knowledge_derivative(std::size_t i, Index entry, const std::vector<ShapeCotangent>& cotangents) const {
-    if (entry >= 4 && samples_ == 1)
-      return 0.0;  // a single sample sits in the middle of the interval, whatever its width
+    if (entry >= 4 && samples_ == 1) return 0.0;  // a single sample sits in the middle of an interval of any width
     const auto& knowledge = cases_[i].knowledge;
     const double value = entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4);
     double step = owner_.params_.knowledge_step;
@@ -415,7 +415,7 @@ class RolloutPrediction final : public PlainPrediction {
   PredictionRequest request_;
   std::size_t samples_;
   std::vector<Run> runs_;                              // [cases * samples]
-  std::vector<std::vector<ShapeDistribution>> early_;  // what differences are taken from
+  std::vector<std::vector<ShapeDistribution>> early_;  // unperturbed shapes of the differences
 };
 
 RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
@@ -431,7 +431,7 @@ void RolloutPredictor::bind(const Task& task) {
     const std::lock_guard lock(pool_mutex_);
     pool_.clear();
   }
-  const Lease first(*this);  // a wrong simulator shows here and not in the first plan
+  const Lease first(*this);  // reports a wrong simulator now, not in the first plan
   has_snapshots_ = (*first).capabilities().snapshots;
   task_ = task;
 }

@@ -44,9 +44,9 @@ struct Output {
   Tensor mean, sigma;
 };
 
-/// forward() with the metadata's normalisation around it. As part of the graph it is differentiated along with the
-/// rest.
-/// @throws Error naming what the module gave and what it has to give.
+/// forward() with the metadata's normalisation around it. The normalisation is part of the graph, so autograd
+/// differentiates it, too.
+/// @throws Error with the returned and the required result.
 Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>& inputs) {
   const double unit = bound.metadata.length_unit_m;
   const auto length = [&](const Tensor& x) { return unit == 1.0 ? x : x / unit; };
@@ -55,7 +55,7 @@ Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>&
   c10::IValue result;
   try {
     result = bound.module.forward(values);
-  } catch (const std::exception& error) {  // libtorch's own, and what the module's code throws
+  } catch (const std::exception& error) {  // from libtorch, or from the module's code
     const std::string text = error.what();
     throw Error(bound.name + ": forward() failed: " + text.substr(0, 400));
   }
@@ -77,11 +77,11 @@ Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>&
   return out;
 }
 
-/// Cases of one length in one pass. Every case of the batch has its row there, whatever its length and whether it is
-/// wanted, so that the bits of a case depend on its row and the number of rows only: products of other sizes take other
-/// kernels. A case that runs alone has row 0.
+/// Cases of one length in one pass. Every case of the batch has a row there, even if its length is another one or it is
+/// not requested. So the bits of a case depend only on its row and the number of rows; products of other sizes would
+/// use other kernels. A case that runs alone has row 0.
 struct Group {
-  std::vector<std::size_t> cases;  ///< that belong here; the other rows hold the first of them
+  std::vector<std::size_t> cases;  ///< of this group; all other rows repeat the first of them
   std::size_t rows = 1;
   std::size_t row(std::size_t i) const { return rows == 1 ? 0 : i; }
   std::vector<Tensor> inputs;
@@ -100,7 +100,7 @@ class TorchPrediction final : public PlainPrediction {
       has_previous_.push_back(cases[i].previous != nullptr);
       segments_.push_back(cases[i].segments);
       if (cases[i].segments.empty()) continue;
-      // Together, to the end of the controls: how far others are wanted must not change the pass.
+      // All cases run to the end of their controls, so that the pass does not depend on the steps that others request.
       if (batch)
         groups[{cases[i].controls.rows(), 0}].cases.push_back(i);
       else
@@ -140,7 +140,7 @@ class TorchPrediction final : public PlainPrediction {
   }
 
  private:
-  /// Of Group::inputs: the start shape and the one before it.
+  /// Places in Group::inputs of the start shape and of the shape before it.
   static bool is_shape(std::size_t input) { return input == 0 || input == 4; }
 
   void run(const std::vector<PredictionCase>& cases, Group& group, Index k) {
@@ -238,7 +238,7 @@ class TorchPrediction final : public PlainPrediction {
       if (t.requires_grad()) inputs.push_back(t);
     const auto grads = torch::autograd::grad(outputs, inputs, seeds, /*retain_graph=*/true, /*create_graph=*/false,
                                              /*allow_unused=*/true);
-    std::vector<Tensor> of_input(group.inputs.size());  // undefined: not asked for, or it moves nothing
+    std::vector<Tensor> of_input(group.inputs.size());  // undefined: not requested, or without effect
     for (std::size_t input = 0, next = 0; input < of_input.size(); ++input)
       if (group.inputs[input].requires_grad()) of_input[input] = grads[next++];
     const auto row = [&](std::size_t input, std::size_t r) -> std::vector<double> {
@@ -335,12 +335,12 @@ void require_task(const Metadata& m, const std::string& file, const Task& task) 
                         ", above control_high = " + number(high));
     }
     if (low > v.upper || high < v.lower)
-      refuse("range of " + v.name, numbers({low, high}), numbers({v.lower, v.upper}) + ", apart from it");
+      refuse("range of " + v.name, numbers({low, high}), numbers({v.lower, v.upper}) + ", without overlap");
   }
 }
 
 /// Reads bound.name into bound.module, for inference.
-/// @throws ConfigError when it is no such file, or forward() does not take and return what it must.
+/// @throws ConfigError when it is not a TorchScript file, or forward() has other arguments or results than required.
 void load_module(TorchScriptPredictor::Bound& bound) {
   try {
     bound.module = torch::jit::load(bound.name, at::kCPU);
@@ -348,7 +348,7 @@ void load_module(TorchScriptPredictor::Bound& bound) {
     for (const auto& parameter : bound.module.parameters()) parameter.set_requires_grad(false);
   } catch (const std::exception& error) {  // libtorch reports damaged files in many ways
     const std::string text = error.what();
-    throw ConfigError(bound.name + ": is no TorchScript file, or is damaged: " + text.substr(0, 300));
+    throw ConfigError(bound.name + ": is not a TorchScript file, or is damaged: " + text.substr(0, 300));
   }
   const auto& m = bound.metadata;
   const auto method = bound.module.find_method("forward");
@@ -412,18 +412,16 @@ void TorchScriptPredictor::bind(const Task& task) {
 
 void TorchScriptPredictor::check_material(const Metadata& m, const std::string& file, const Task& task) const {
   if (m.material.is_null()) {
-    host_.log(LogLevel::warning, file +
-                                     ": has no material, so that nothing says for which fabrics "
-                                     "the module's properties in [0, 1] stand");
+    host_.log(LogLevel::warning,
+              file + ": has no material: for which fabrics the module's properties in [0, 1] stand is unknown");
     return;
   }
   if (write_material_space(read_material_space(m.material)).to_yaml() == write_material_space(task.material).to_yaml())
     return;
-  const std::string text = file +
-                           ": material is another space than the task's: the module's properties in [0, 1] stand for "
-                           "other fabrics";
+  const std::string text =
+      file + ": material is another space than the task's: the same properties in [0, 1] mean other fabrics";
   if (params_.other_fabric != "warn")
-    throw ConfigError(text + " (predictor.params.other_fabric: warn uses it all the same)");
+    throw ConfigError(text + " (predictor.params.other_fabric: warn uses the module anyway)");
   host_.log(LogLevel::warning, text);
 }
 

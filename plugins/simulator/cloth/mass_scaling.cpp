@@ -13,7 +13,7 @@
 namespace weft::cloth {
 namespace {
 
-// Of w0 = 1 + kDamping / s^2: lambda p(lambda) of short waves lies between 0.3 and 1.7 of its mean.
+// In w0 = 1 + kDamping / s^2. With it, lambda p(lambda) of short waves lies between 0.3 and 1.7 of its mean.
 constexpr double kDamping = 0.4;
 constexpr int kMostStages = 64;
 // Floats before the first and after the last record of a plane: a diagonal of eight lanes begins at most seven early.
@@ -101,7 +101,7 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
   Polynomial p;
   do p = polynomial(++stages_, most);
   while (p.largest() > allowed && stages_ < kMostStages);
-  // The stages come in whole numbers: what they could do beyond `allowed` is not used.
+  // The number of stages is whole: an effect beyond `allowed` is not used.
   if (p.largest() < allowed) p = polynomial(stages_, most * allowed / p.largest());
   largest_ = p.largest();
   arrange(topology, start, column, value);
@@ -116,8 +116,8 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
 
 double MassScaling::largest(
     const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness) const {
-  // L is singular, for each piece of the cloth in a constant, which K maps to 0: a shift of its diagonal changes no r
-  // worth naming.
+  // L is singular: it maps fields that are constant on a piece of the cloth to 0, and so does K. A shift of its
+  // diagonal hardly changes r.
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> solver(
       laplacian_ + 1e-9 * Eigen::SparseMatrix<double>(laplacian_.diagonal().asDiagonal()));
   const auto n = static_cast<std::size_t>(laplacian_.rows());
@@ -139,8 +139,8 @@ void MassScaling::Planes::resize(std::size_t rows) {
 
 void MassScaling::arrange(const Topology& topology, const std::vector<std::int32_t>& start,
                           const std::vector<std::int32_t>& column, const std::vector<double>& value) {
-  // Neighbours of vertices that follow one another in a strip follow one another in its strip or the next: the fewer
-  // diagonals, the better the strips. A triangular lattice has 7 where its rows are the strips.
+  // Consecutive vertices of a strip should have consecutive neighbours in one strip, so that there are few diagonals. A
+  // triangular lattice has 7 where its rows are the strips.
   const std::int32_t n = topology.vertices, padding = (8 - n % 8) % 8;
   std::vector<std::int32_t> order(static_cast<std::size_t>(n)), row(order.size()), strip(order.size()), offsets;
   const auto group_offsets = [&](std::int32_t first) -> std::vector<std::int32_t>& {
