@@ -2,6 +2,7 @@
 
 #include "commands.hpp"
 #include "evaluation_run.hpp"
+#include "experiments/estimation_evaluation.hpp"
 
 namespace weft::app {
 namespace {
@@ -16,7 +17,7 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
       [&](const EvaluationCases& cases, const std::filesystem::path& folder) {
         return estimation_runner(cases, evaluation.given.params.data, folder);
       },
-      [](const AblationRow&) { return std::string("done"); });
+      [](const SweepRow&) { return std::string("done"); });
   const std::string json = estimation_evaluation_json(columns);
   write_text(evaluation.out / "estimation.json", json);
   write_text(evaluation.out / "estimation.csv", estimation_evaluation_csv(columns));

@@ -3,17 +3,11 @@
 
 #include "commands.hpp"
 #include "evaluation_run.hpp"
+#include "experiments/planning_evaluation.hpp"
 #include "options.hpp"
 
 namespace weft::app {
 namespace {
-
-double metric(const AblationRow& row, const char* name) {
-  for (const auto& [key, value] : row.outcome.metrics) {
-    if (key == name) return value;
-  }
-  return 0.0;
-}
 
 int evaluate(Context& context, const EvaluationOptions& options, const std::vector<double>& widths) {
   require_distinct("--widths", widths);
@@ -21,10 +15,10 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   const auto columns = evaluation.run(
       [&](const EvaluationCases& cases) { return planning_evaluation(evaluation.session, widths, cases); },
       planning_runner,
-      [](const AblationRow& row) {
+      [](const SweepRow& row) {
         char text[120];
         std::snprintf(text, sizeof text, "%.1f mm (default control: %.1f mm), first plan %.2f s",
-                      metric(row, "error_mm"), metric(row, "default_error_mm"), metric(row, "first_plan_seconds"));
+                      row.metric("error_mm"), row.metric("default_error_mm"), row.metric("first_plan_seconds"));
         return std::string(text);
       });
   const std::string json = planning_evaluation_json(columns);

@@ -4,9 +4,9 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
+#include "experiments/ablation.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/physics/physics.hpp"
-#include "experiments/sweep.hpp"
 #include "options.hpp"
 #include "weft/config.hpp"
 

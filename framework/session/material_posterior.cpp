@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 
+#include "sdk/quantile.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
@@ -39,13 +40,6 @@ double truncated_normal(double low, double high, RandomStream& random) {
     const double z = random.uniform(low, high);
     if (random.uniform() <= std::exp(0.5 * (low * low - z * z))) return z;
   }
-}
-
-double quantile(const std::vector<double>& sorted, double at) {
-  const double place = at * static_cast<double>(sorted.size() - 1);
-  const auto below = static_cast<std::size_t>(place);
-  const std::size_t above = std::min(below + 1, sorted.size() - 1);
-  return sorted[below] + (place - static_cast<double>(below)) * (sorted[above] - sorted[below]);
 }
 
 }  // namespace

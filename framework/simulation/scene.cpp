@@ -1,10 +1,11 @@
 #include "simulation/scene.hpp"
-#include "meshes/intersections.hpp"
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <nlohmann/json.hpp>
+
+#include "meshes/intersections.hpp"
 
 namespace weft {
 namespace {
@@ -122,10 +123,71 @@ ConfigNode vertices_node(const std::vector<Index>& vertices) {
   return ConfigNode::sequence(std::move(items));
 }
 
-/// What is held right now, in the order in which the simulator takes targets.
-struct Hold {
-  const SceneGrasp* grasp;
-  Positions origin;  // [vertices, 3] where they were taken hold of
+void add_warning(SceneResult& result, const std::string& text) {
+  if (!text.empty() && std::find(result.warnings.begin(), result.warnings.end(), text) == result.warnings.end()) {
+    result.warnings.push_back(text);
+  }
+}
+
+/// What the scene asks of a simulator that does not declare it. @throws ConfigError where it could not even begin.
+void check_capabilities(const SceneRun& run, const SimulatorCapabilities& capabilities, SceneResult& result) {
+  if (!run.scene.pins.empty() && !capabilities.pins) {
+    throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
+  }
+  if (run.scene.ground_height && run.fabric.friction > 0.0 && !capabilities.ground_friction) {
+    add_warning(result,
+                "the fabric has ground friction, which this simulator does not declare (capability ground_friction)");
+  }
+}
+
+/// The scripted hands: what they hold, and where they want it.
+class Hands {
+ public:
+  /// Lets go and takes hold of what the script says for the boundary before this frame.
+  void update(Simulator& simulator, const std::vector<SceneGrasp>& grasps, Index frame) {
+    for (std::size_t h = 0; h < holds_.size();) {
+      const SceneGrasp& grasp = *holds_[h].grasp;
+      if (grasp.release && frame_at(*grasp.release) <= frame) {
+        simulator.release(grasp.vertices);
+        holds_.erase(holds_.begin() + static_cast<std::ptrdiff_t>(h));
+      } else {
+        ++h;
+      }
+    }
+    for (const SceneGrasp& grasp : grasps) {
+      if (frame_at(grasp.keyframes.front().time) != frame) continue;
+      // Keyframe and release inside one frame: there is nothing to hold.
+      if (grasp.release && frame_at(*grasp.release) <= frame) continue;
+      Hold hold{&grasp, Positions(static_cast<Index>(grasp.vertices.size()), 3)};
+      for (std::size_t i = 0; i < grasp.vertices.size(); ++i) {
+        hold.origin.row(static_cast<Index>(i)) = simulator.positions().row(grasp.vertices[i]);
+      }
+      simulator.grasp(grasp.vertices);
+      holds_.push_back(std::move(hold));
+    }
+  }
+  /// [held, 3] m, at the end of the frame, in the simulator's own order of held vertices.
+  Positions targets(const Simulator& simulator, Index frame) const {
+    const std::vector<Index> held = simulator.grasped();
+    Positions targets(static_cast<Index>(held.size()), 3);
+    const double time = static_cast<double>(frame + 1) * kFrameSeconds;
+    for (const Hold& hold : holds_) {
+      const Vec3 offset = hold.grasp->offset_at(time);
+      for (std::size_t i = 0; i < hold.grasp->vertices.size(); ++i) {
+        const auto at = std::find(held.begin(), held.end(), hold.grasp->vertices[i]);
+        if (at == held.end()) throw Error("the simulator lost vertex " + std::to_string(hold.grasp->vertices[i]));
+        targets.row(at - held.begin()) = hold.origin.row(static_cast<Index>(i)) + offset.transpose();
+      }
+    }
+    return targets;
+  }
+
+ private:
+  struct Hold {
+    const SceneGrasp* grasp;
+    Positions origin;  // [vertices, 3] where they were taken hold of
+  };
+  std::vector<Hold> holds_;
 };
 
 }  // namespace
@@ -213,19 +275,8 @@ ConfigNode write_scene(const SceneRun& run, const std::string& garment_file) {
 
 SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer) {
   const auto simulator = host.create<Simulator>(run.simulator);
-  const SimulatorCapabilities capabilities = simulator->capabilities();
-  if (!run.scene.pins.empty() && !capabilities.pins) {
-    throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
-  }
   SceneResult result;
-  const auto warn = [&result](const std::string& text) {
-    if (!text.empty() && std::find(result.warnings.begin(), result.warnings.end(), text) == result.warnings.end()) {
-      result.warnings.push_back(text);
-    }
-  };
-  if (run.scene.ground_height && run.fabric.friction > 0.0 && !capabilities.ground_friction) {
-    warn("the fabric has ground friction, which this simulator does not declare (capability ground_friction)");
-  }
+  check_capabilities(run, simulator->capabilities(), result);
   simulator->reset(run.garment, run.fabric, run.scene);
   const auto look = [&](Index frame) {
     const SimulatorDiagnostics diagnostics = simulator->diagnostics();
@@ -233,51 +284,21 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
     result.final_strain = diagnostics.max_strain;
     result.max_strain = std::max(result.max_strain, diagnostics.max_strain);
     result.max_grasp_strain = std::max(result.max_grasp_strain, diagnostics.max_grasp_strain);
-    warn(diagnostics.warning);
+    add_warning(result, diagnostics.warning);
     if (observer) observer(*simulator, frame);
   };
   look(0);
 
-  std::vector<Hold> holds;
+  Hands hands;
   const Index frames = run.frames();
-  result.frame_seconds.reserve(static_cast<std::size_t>(frames));
+  result.frame_seconds.reserve(frames);
   for (Index frame = 0; frame < frames; ++frame) {
     if (host.cancelled()) {
       result.cancelled = true;
       break;
     }
-    for (std::size_t h = 0; h < holds.size();) {
-      const SceneGrasp& grasp = *holds[h].grasp;
-      if (grasp.release && frame_at(*grasp.release) <= frame) {
-        simulator->release(grasp.vertices);
-        holds.erase(holds.begin() + static_cast<std::ptrdiff_t>(h));
-      } else {
-        ++h;
-      }
-    }
-    for (const SceneGrasp& grasp : run.grasps) {
-      if (frame_at(grasp.keyframes.front().time) != frame) continue;
-      // Keyframe and release inside one frame: there is nothing to hold.
-      if (grasp.release && frame_at(*grasp.release) <= frame) continue;
-      Hold hold{&grasp, Positions(static_cast<Index>(grasp.vertices.size()), 3)};
-      for (std::size_t i = 0; i < grasp.vertices.size(); ++i) {
-        hold.origin.row(static_cast<Index>(i)) = simulator->positions().row(grasp.vertices[i]);
-      }
-      simulator->grasp(grasp.vertices);
-      holds.push_back(std::move(hold));
-    }
-    // Targets in the simulator's own order of held vertices.
-    const std::vector<Index> held = simulator->grasped();
-    Positions targets(static_cast<Index>(held.size()), 3);
-    const double time = static_cast<double>(frame + 1) * kFrameSeconds;
-    for (const Hold& hold : holds) {
-      const Vec3 offset = hold.grasp->offset_at(time);
-      for (std::size_t i = 0; i < hold.grasp->vertices.size(); ++i) {
-        const auto at = std::find(held.begin(), held.end(), hold.grasp->vertices[i]);
-        if (at == held.end()) throw Error("the simulator lost vertex " + std::to_string(hold.grasp->vertices[i]));
-        targets.row(at - held.begin()) = hold.origin.row(static_cast<Index>(i)) + offset.transpose();
-      }
-    }
+    hands.update(*simulator, run.grasps, frame);
+    const Positions targets = hands.targets(*simulator, frame);
     const auto start = std::chrono::steady_clock::now();
     simulator->step(targets);
     result.frame_seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
@@ -292,7 +313,8 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
 std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
   std::vector<double> sorted = result.frame_seconds;
   std::sort(sorted.begin(), sorted.end());
-  const auto quantile = [&sorted](double p) {
+  // A frame that was measured, not one between two.
+  const auto nearest_rank_ms = [&sorted](double p) {
     if (sorted.empty()) return 0.0;
     const auto rank = static_cast<std::size_t>(std::ceil(p * static_cast<double>(sorted.size())));
     return 1e3 * sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1];
@@ -304,7 +326,7 @@ std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
       {"fabric", run.fabric.name},
       {"frames", result.frames},
       {"seconds", static_cast<double>(result.frames) * kFrameSeconds},
-      {"frame_ms", {{"median", quantile(0.5)}, {"p95", quantile(0.95)}}},
+      {"frame_ms", {{"median", nearest_rank_ms(0.5)}, {"p95", nearest_rank_ms(0.95)}}},
       {"max_speed_m_per_s", result.max_speed},
       {"max_strain", result.final_strain},
       {"max_strain_of_run", result.max_strain},

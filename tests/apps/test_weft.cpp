@@ -2,7 +2,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
-#include "experiments/sweep.hpp"
+#include "experiments/ablation.hpp"
 #include "loader/registry.hpp"
 #include "session/session.hpp"
 #include "unit/test_program.hpp"

@@ -3,7 +3,7 @@
 
 #include <thread>
 
-#include "experiments/physics/physics.hpp"
+#include "experiments/physics/suite.hpp"
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
 #include "simulation/task_config.hpp"

@@ -1,7 +1,7 @@
 // The physics suite (configs/experiments/physics.yaml) with its bounds, on the cloth plugin as it is loaded for folds.
 #include <gtest/gtest.h>
 
-#include "experiments/physics/physics.hpp"
+#include "experiments/physics/suite.hpp"
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
 #include "meshes/intersections.hpp"

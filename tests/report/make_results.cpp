@@ -13,8 +13,10 @@
 #include <numbers>
 #include <numeric>
 
+#include "experiments/statistics.hpp"
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
+#include "report/cases_file.hpp"
 #include "report/page.hpp"
 #include "session/session.hpp"
 #include "session/session_file.hpp"
@@ -29,24 +31,6 @@ namespace fs = std::filesystem;
 using json = nlohmann::ordered_json;
 
 constexpr Index kSettleFrames = 60;
-
-double mean_of(const std::vector<double>& values) {
-  return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
-}
-
-double deviation_of(const std::vector<double>& values) {
-  double sum = 0.0;
-  for (const double value : values) sum += (value - mean_of(values)) * (value - mean_of(values));
-  return std::sqrt(sum / static_cast<double>(values.size() - 1));
-}
-
-double quantile(std::vector<double> values, double q) {
-  std::sort(values.begin(), values.end());
-  const double at = q * static_cast<double>(values.size() - 1);
-  const auto low = static_cast<std::size_t>(at);
-  const double next = values[std::min(low + 1, values.size() - 1)];
-  return values[low] + (at - static_cast<double>(low)) * (next - values[low]);
-}
 
 void write_json(const fs::path& file, const json& value) { std::ofstream(file) << value.dump(1) << '\n'; }
 
@@ -209,8 +193,9 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
               result.error_mm);
 }
 
-json spread_of(const std::vector<double>& values) {
-  return {{"mean", mean_of(values)}, {"sd", deviation_of(values)}, {"median", quantile(values, 0.5)}};
+json spread_json(const std::vector<double>& values) {
+  const Spread s = spread_of(values);
+  return {{"mean", s.mean}, {"sd", s.sd}, {"median", s.median}};
 }
 
 void make_evaluation(const fs::path& folder, const Task& task) {
@@ -245,14 +230,14 @@ void make_evaluation(const fs::path& folder, const Task& task) {
       planning["cases"].push_back(one);
       if (!failed) errors.push_back(error);
     }
-    const double q1 = quantile(errors, 0.25), q3 = quantile(errors, 0.75);
+    const double q1 = quantile_of(errors, 0.25), q3 = quantile_of(errors, 0.75);
     const auto outliers = std::count_if(errors.begin(), errors.end(),
                                         [&](double e) { return e < q1 - 1.5 * (q3 - q1) || e > q3 + 1.5 * (q3 - q1); });
     planning["by_width"].push_back({{"width", width},
                                     {"n", errors.size()},
                                     {"mean_mm", mean_of(errors)},
-                                    {"median_mm", quantile(errors, 0.5)},
-                                    {"sd_mm", deviation_of(errors)},
+                                    {"median_mm", quantile_of(errors, 0.5)},
+                                    {"sd_mm", spread_of(errors).sd},
                                     {"q1_mm", q1},
                                     {"q3_mm", q3},
                                     {"outliers", outliers}});
@@ -295,8 +280,8 @@ void make_evaluation(const fs::path& folder, const Task& task) {
       for (std::size_t i = 0; i < errors[p].size(); ++i) inside += errors[p][i] <= share * widths[p][i] / 2;
       coverage[name] = inside / static_cast<double>(errors[p].size());
     }
-    estimation["properties"][kPropertyNames[p]] = {{"abs_error", spread_of(errors[p])},
-                                                   {"width", spread_of(widths[p])},
+    estimation["properties"][kPropertyNames[p]] = {{"abs_error", spread_json(errors[p])},
+                                                   {"width", spread_json(widths[p])},
                                                    {"failure_rate", 0.02 * static_cast<double>(p)},
                                                    {"coverage", coverage},
                                                    {"interval_score", 0.3}};

@@ -10,6 +10,7 @@
 #include <iterator>
 #include <limits>
 
+#include "report/cases_file.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {

@@ -1,4 +1,4 @@
-// The data of a page, as framework/src/report.cpp puts it there; docs/report.md describes it.
+// The data of a page, as framework/report/page.cpp puts it there; docs/report.md describes it.
 import { unzlibSync } from 'fflate';
 
 export interface ArrayRef {

@@ -65,13 +65,13 @@ struct ParamInfo {
 
 /// One parameter, as `visit` declares it.
 struct Declaration {
-  const char* name;
-  const char* text;
+  const char* name = "";
+  const char* text = "";
   Decides decides = Decides::results;
-  Range range = {};
-  Choice choice = {};
-  PluginSlot slot = {};
-  Length length = {};
+  Range range;
+  Choice choice;
+  PluginSlot slot;
+  Length length;
   bool is_file_or_mapping = false;
 };
 using ParamValue = std::variant<double*, std::int64_t*, bool*, std::string*, std::vector<double>*,
@@ -90,46 +90,46 @@ class WEFT_API ParamVisitor {
 
   void operator()(const char* name, double& value, const Range& range, const char* text,
                   const MarkOf<Decides> auto&... marks) {
-    declare(&value, {.name = name, .text = text, .range = range}, marks...);
+    declare(&value, name, text, range, marks...);
   }
   void operator()(const char* name, std::int64_t& value, const Range& range, const char* text,
                   const MarkOf<Decides> auto&... marks) {
-    declare(&value, {.name = name, .text = text, .range = range}, marks...);
+    declare(&value, name, text, range, marks...);
   }
   void operator()(const char* name, bool& value, const char* text, const MarkOf<Decides> auto&... marks) {
-    declare(&value, {.name = name, .text = text}, marks...);
+    declare(&value, name, text, marks...);
   }
   void operator()(const char* name, std::string& value, const Choice& choice, const char* text,
                   const MarkOf<Decides> auto&... marks) {
-    declare(&value, {.name = name, .text = text, .choice = choice}, marks...);
+    declare(&value, name, text, choice, marks...);
   }
   /// Free text.
   void operator()(const char* name, std::string& value, const char* text, const MarkOf<Decides> auto&... marks) {
-    declare(&value, {.name = name, .text = text}, marks...);
+    declare(&value, name, text, marks...);
   }
   /// Every element must lie in the range; an empty default means "not given".
   void operator()(const char* name, std::vector<double>& value, const Range& range, const char* text,
                   const MarkOf<Decides, Length> auto&... marks) {
-    declare(&value, {.name = name, .text = text, .range = range}, marks...);
+    declare(&value, name, text, range, marks...);
   }
   void operator()(const char* name, std::vector<std::string>& value, const char* text,
                   const MarkOf<Decides, Length> auto&... marks) {
-    declare(&value, {.name = name, .text = text}, marks...);
+    declare(&value, name, text, marks...);
   }
   /// A plugin. The resolved config of a result holds every default of its parameters.
   void operator()(const char* name, ConfigNode& value, const PluginSlot& slot, const char* text,
                   const MarkOf<Decides> auto&... marks) {
-    declare(&value, {.name = name, .text = text, .slot = slot}, marks...);
+    declare(&value, name, text, slot, marks...);
   }
   /// Any nested configuration that the component reads itself.
   void operator()(const char* name, ConfigNode& value, const char* text,
                   const MarkOf<Decides, FileOrMapping> auto&... marks) {
-    declare(&value, {.name = name, .text = text}, marks...);
+    declare(&value, name, text, marks...);
   }
   /// A path, relative to the folder of the config file; empty = not given.
   void operator()(const char* name, std::filesystem::path& value, const char* text,
                   const MarkOf<Decides> auto&... marks) {
-    declare(&value, {.name = name, .text = text}, marks...);
+    declare(&value, name, text, marks...);
   }
   /// A nested Params struct under its own key. A mark applies to all keys in it that have no mark.
   template <class Group>
@@ -152,11 +152,17 @@ class WEFT_API ParamVisitor {
   virtual void begin_group(const char* name, const char* text) = 0;
   virtual void end_group() = 0;
 
-  void declare(const ParamValue& value, Declaration declared, const auto&... marks) {
+  void declare(const ParamValue& value, const char* name, const char* text, const auto&... said) {
+    Declaration declared;
+    declared.name = name;
+    declared.text = text;
     declared.decides = decides_;
-    (add(declared, marks), ...);
+    (add(declared, said), ...);
     visit(declared, value);
   }
+  static void add(Declaration& declared, const Range& range) { declared.range = range; }
+  static void add(Declaration& declared, const Choice& choice) { declared.choice = choice; }
+  static void add(Declaration& declared, const PluginSlot& slot) { declared.slot = slot; }
   static void add(Declaration& declared, const Length& length) { declared.length = length; }
   static void add(Declaration& declared, FileOrMapping) { declared.is_file_or_mapping = true; }
   static void add(Declaration& declared, Decides decides) { declared.decides = decides; }
