@@ -13,9 +13,9 @@ namespace weft {
 
 namespace {
 
-/// Where the threads of one minimise_pointwise() meet. An instance is `working` (its solver computes), `asking`
-/// (blocked in evaluate()) or `gone`. The caller's thread waits until nobody works, evaluates what was asked, and
-/// answers.
+/// Synchronises the threads of one minimise_pointwise(). An instance is `working` (its solver computes), `asking`
+/// (blocked in evaluate()) or `gone`. The caller's thread waits until no instance works, evaluates the requested points
+/// and answers.
 class Meeting {
  public:
   class Instance final : public PointwiseSearch {
@@ -35,7 +35,7 @@ class Meeting {
         value_.residuals = Vector::Zero(request.residuals ? meeting_.residuals_ : 0);
         value_.jacobian = Matrix::Zero(request.jacobians ? meeting_.residuals_ : 0, x.size());
         last_was_finite_ = false;
-        // Not an evaluation, but a solver that asks for nothing else must end, too.
+        // This is not an evaluation, but a solver that only asks for such points must end too.
         if (++refused_ > kMostRefused) end(OptimiserStatus::diverged, "the solver asks for points that are not finite");
         return over_ ? nullptr : &value_;
       }
@@ -60,7 +60,7 @@ class Meeting {
     static constexpr Index kMostRefused = 1000;
     enum class State { working, asking, gone };
 
-    /// The first reason stays.
+    /// Keeps the first reason.
     void end(OptimiserStatus status, std::string message) {
       if (over_) return;
       over_ = true;
@@ -97,7 +97,8 @@ class Meeting {
     bool over_ = false;
     bool last_was_finite_ = false;
     Index refused_ = 0;
-    // Written by this instance's thread before it asks, read by the caller's, and the other way round for value_.
+    // The instance's thread writes x_ and request_ before it asks, and the caller's thread reads them. For value_ it is
+    // the other way round.
     Vector x_;
     EvaluationRequest request_;
     PointValue value_;
@@ -161,7 +162,7 @@ class Meeting {
   }
 
  private:
-  /// The life of an instance's thread. Nothing leaves it but through the instance.
+  /// Runs on an instance's thread. Results and exceptions leave it through the instance only.
   void solve(Instance& one, const PointwiseSolver& solver) {
     try {
       SolverOutcome outcome = solver(one, one.result_.x);
@@ -182,7 +183,7 @@ class Meeting {
     one.answered_.wait(lock, [&] { return one.state_ == Instance::State::working; });
   }
 
-  /// @return those that ask, ascending.
+  /// @return the instances that ask, ascending.
   std::vector<Instance*> wait_until_nobody_works() {
     std::unique_lock lock(mutex_);
     nobody_works_.wait(lock, [&] { return working_ == 0; });

@@ -50,7 +50,7 @@ std::filesystem::path library_folder() {
 
 void write_text(const std::filesystem::path& file, std::string_view text) {
   WholeFile whole(file);
-  errno = 0;  // a stream does not say why it failed; the call below it does
+  errno = 0;  // a stream does not report why it failed; errno does
   std::ofstream stream(whole.temporary(), std::ios::binary);
   stream.write(text.data(), static_cast<std::streamsize>(text.size()));
   stream.close();

@@ -22,7 +22,7 @@ inline std::string hex_digits(std::uint64_t value) {
   return text;
 }
 
-/// 64-bit FNV-1a over bytes, with a final mix: finds damage and tells configurations apart; no defence against forgery.
+/// 64-bit FNV-1a over bytes, with a final mix. Detects damage and tells configurations apart. Does not resist forgery.
 class Fingerprint {
  public:
   void add(const void* data, std::size_t size) { hash_ = fnv1a(data, size, hash_); }

@@ -74,7 +74,7 @@ void check_finite(const Mesh& mesh, const std::string& where) {
       throw ConfigError(where + vertex_text(v) + " has a rest position that is not finite");
     }
   }
-  // Far beyond any cloth; keeps areas and squares of lengths away from overflow and total cancellation.
+  // Far larger than any cloth. The limit protects areas and squared lengths from overflow and cancellation.
   constexpr double kLargest = 1e6;
   for (Index v = 0; v < mesh.positions.rows(); ++v) {
     const double largest = std::max(mesh.positions.row(v).cwiseAbs().maxCoeff(),
@@ -111,7 +111,7 @@ void check_manifold(const Mesh& mesh, const std::string& where) {
     i = end;
   }
 
-  // A vertex is manifold when its faces form one fan: joining faces that share an edge at the vertex leaves one group.
+  // A vertex is manifold if its faces form one fan: joining the faces that share an edge at the vertex gives one group.
   // Corner c of face f is node 3 f + c of a union-find forest.
   std::vector<Index> parent(static_cast<std::size_t>(mesh.faces.rows()) * 3);
   for (std::size_t i = 0; i < parent.size(); ++i) parent[i] = static_cast<Index>(i);

@@ -14,11 +14,10 @@
 namespace weft {
 namespace {
 
-// Larger than any mesh that could be simulated; bounds what a hostile file can make us allocate.
+// Larger than any mesh that can be simulated. It limits the memory that a hostile file can make us allocate.
 constexpr std::uintmax_t kMaxFileBytes = std::uintmax_t{1} << 30;
 
-// Statements that say nothing about a triangle mesh: comments' kin, materials, groups, and the simulation state that
-// ARCSim writes beside the mesh.
+// Ignored statements: normals, groups, materials, and the simulation state that ARCSim adds to a mesh.
 constexpr std::array<std::string_view, 25> kIgnored = {
     "vn", "vp", "g",  "o",  "s",  "usemtl", "mtllib", "usemap", "maplib", "e",     "tn",       "ny",      "nv",
     "nl", "ns", "nm", "nc", "ea", "ed",     "el",     "tl",     "tp",     "bevel", "c_interp", "d_interp"};
@@ -56,7 +55,7 @@ std::string read_whole(const std::filesystem::path& path) {
 
 bool is_space(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; }
 
-/// Next word of the line, or empty; `rest` moves behind it.
+/// Removes the next word of the line from `rest` and returns it; empty at the end.
 std::string_view next_word(std::string_view& rest) {
   std::size_t begin = 0;
   while (begin < rest.size() && is_space(rest[begin])) ++begin;
@@ -117,8 +116,8 @@ struct Reader {
     texture.push_back({values[0], values[1]});
   }
 
-  /// One index of a face: 1-based, or negative and relative to what was read so far. Forward references are checked at
-  /// the end.
+  /// One index of a face: 1-based, or negative and relative to the entries read so far. Forward references are checked
+  /// at the end.
   int index(std::string_view text, std::size_t count, const std::string& what, std::string_view word) const {
     long long value = 0;
     std::string_view digits = text;
@@ -195,7 +194,7 @@ struct Reader {
     for (const std::string_view ignored : kIgnored) {
       if (keyword == ignored) return;
     }
-    fail(name, line, quote(keyword) + " is no statement of a triangle mesh (v, vt, vn, f, g, o, s, usemtl, mtllib)");
+    fail(name, line, quote(keyword) + " is not a statement of a triangle mesh (v, vt, vn, f, g, o, s, usemtl, mtllib)");
   }
 
   Mesh finish() const {
@@ -219,7 +218,8 @@ struct Reader {
         const int vt = face_textures[f][k];
         if ((vt >= 0) != with_texture) {
           fail(name, face_lines[f],
-               what + (with_texture ? " has no vt" : " has a vt") + ", unlike the faces before it: all or none");
+               what + (with_texture ? " has no vt" : " has a vt") +
+                   ", unlike the faces before it; all faces must have vt, or none");
         }
         if (vt < 0) continue;
         if (vt >= texture_count) {
@@ -243,7 +243,7 @@ struct Reader {
     }
     if (!with_texture && !texture.empty()) {
       throw ConfigError(name + ": " + std::to_string(texture_count) +
-                        " vt, but no face refers to them: write f v/vt v/vt v/vt, or leave the vt out");
+                        " vt, but no face uses them: write f v/vt v/vt v/vt, or remove the vt");
     }
     Mesh mesh;
     mesh.source = name;
@@ -336,7 +336,7 @@ void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact) 
     }
     out += '\n';
   }
-  // Written beside and renamed, so that a killed run leaves no half mesh behind.
+  // Write a temporary file and rename it, so that a killed run leaves no partial mesh.
   const std::filesystem::path temporary = path.string() + ".part";
   {
     std::ofstream file(temporary, std::ios::binary | std::ios::trunc);

@@ -5,7 +5,7 @@ namespace {
 
 Index count(const std::vector<Variable>& variables) { return static_cast<Index>(variables.size()); }
 
-/// A field of the controls, repeated to `size` entries.
+/// One field of the control variables, repeated to `size` entries.
 Vector repeated(const std::vector<Variable>& controls, double Variable::*field, Index size) {
   Vector result(size);
   for (Index i = 0; i < size; ++i) result[i] = controls[i % count(controls)].*field;

@@ -12,10 +12,10 @@
 namespace weft {
 namespace {
 
-/// Sigma below which the loss does not reward less: keeps 1 + log(sigma / floor) positive, as least squares needs it.
+/// A sigma below this value does not lower the loss. So 1 + log(sigma / floor) stays positive, as least squares needs.
 constexpr double kSigmaFloor = 1e-4;  // m
 
-/// One seen coordinate: which shape, which entry of it, where it was.
+/// One seen coordinate: the shape, the entry in it, and the measured value.
 struct Coordinate {
   std::size_t shape;
   Index entry;  // of [V, 3], row-major
@@ -24,7 +24,7 @@ struct Coordinate {
 
 struct History {
   std::vector<Coordinate> coordinates;
-  std::vector<Index> segments;  // with anything seen, ascending, 1-based
+  std::vector<Index> segments;  // those with a seen vertex, ascending, 1-based
   std::vector<double> noise;    // [segments], m
 };
 
@@ -50,9 +50,9 @@ History collect(const EstimateRequest& request, Index vertices) {
   return history;
 }
 
-/// Loss of a batch of (c, w), or of c alone at w = 0. Per coordinate, sigma with the measurement's noise in it:
-///     1/2 ((x - mu) / sigma)^2 + 1 + log(sigma / floor), averaged  =  eq. 6 + constant
-/// plus the prior on w, plus what the height of the start shape says.
+/// Loss of a batch of (c, w), or of c alone at w = 0. It is the mean over the coordinates of
+///     1/2 ((x - mu) / sigma)^2 + 1 + log(sigma / floor)  =  eq. 6 + constant,
+/// where sigma includes the measurement's noise, plus the prior on w and the term of the start shape's height.
 class EstimationObjective final : public Objective {
  public:
   EstimationObjective(const Task& task, const Predictor& predictor, const EstimatorParams& params,
@@ -66,10 +66,10 @@ class EstimationObjective final : public Objective {
       return;
     }
     const auto shapes = static_cast<double>(history.segments.size());
-    // Errors that the shapes of a sequence share do not average out: the design effect [Kish 1965, "Survey sampling"].
+    // Errors shared by the shapes of a sequence do not average out: the design effect [Kish 1965, "Survey sampling"].
     information_ =
         std::min(n, params.effective_coordinates * shapes / (1.0 + (shapes - 1.0) * params.shape_correlation));
-    // The predictor's errors come in blocks that move together, and the measurement's noise averages out in a block.
+    // The predictor's errors move together in blocks of coordinates, so measurement noise averages out in a block.
     noise_share_ = information_ / n;
     has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
     if (has_start_height_) {
@@ -147,8 +147,8 @@ class EstimationObjective final : public Objective {
     return result;
   }
 
-  /// Means over the coordinates of the negative log-likelihood, lengths in mm: eq. 6 without anything else; and of the
-  /// squared normalised error.
+  /// Sets nll and misfit, two means over the coordinates: the negative log-likelihood (eq. 6 alone, lengths in mm) and
+  /// the squared normalised error.
   void rate(const std::vector<ShapeDistribution>& shapes, Estimate& estimate) const {
     estimate.nll = estimate.misfit = 0.0;
     for (const auto& c : history_.coordinates) {
@@ -163,9 +163,9 @@ class EstimationObjective final : public Objective {
   /// The posterior around the best q: gradient and Gauss-Newton precision of n L(q) by central differences, n the
   /// number of independent measurements. For normal distributions the precision (the Fisher information) is the sum of
   ///     dmu dmu' / sigma^2 + 2 dsigma dsigma' / sigma^2.
-  /// Sigma is right on average, not for this sequence: all its variances have a common factor, for which the mean
-  /// squared residual speaks (Birge's ratio [Birge 1932, "The calculation of errors by the method of least squares"])
-  /// with the weight of n measurements, and a prior for 1 with that of `misfit_prior`.
+  /// Sigma is right on average, but not for each sequence. So all variances of a sequence get a common factor: the
+  /// weighted mean of its mean squared residual (Birge's ratio [Birge 1932, "The calculation of errors by the method of
+  /// least squares"]), with the weight of n measurements, and of 1, with the weight `misfit_prior`.
   MaterialPosterior posterior(const PropertyVector& mode, double misfit) {
     std::vector<PredictionCase> cases{make_case(mode)};
     PropertyVector low, high;
@@ -181,7 +181,7 @@ class EstimationObjective final : public Objective {
     if (!prediction->failure(0).empty())
       throw Error("estimation: the best estimate cannot be predicted: " + prediction->failure(0));
     const auto& shapes = prediction->shapes();
-    // A side that cannot be predicted is left out; with neither side the property stays unknown.
+    // A side that cannot be predicted is left out. If both sides are, the property stays unknown.
     std::array<const std::vector<ShapeDistribution>*, 4> lower{}, upper{};
     MaterialPosterior result;
     result.mode = mode;
@@ -218,7 +218,7 @@ class EstimationObjective final : public Objective {
       result.precision(kThickness, kThickness) += slope * slope;
       result.gradient(kThickness) += start_residual(mode) / start_factor() * slope;
     }
-    // Inside the box the search has found a minimum: what is left of the gradient is its tolerance.
+    // Inside the box the search has found a minimum, so the rest of the gradient is its tolerance.
     for (Index p = 0; p < 4; ++p) {
       const bool held_low = mode(p) <= 0.0 && result.gradient(p) > 0.0,
                  held_high = mode(p) >= 1.0 && result.gradient(p) < 0.0;
@@ -267,8 +267,7 @@ class EstimationObjective final : public Objective {
     return params_.method == "prior" ? -params_.width_prior / (w + params_.width_offset) : 0.0;
   }
 
-  /// 1/2 of its square is what one independent measurement counts in the loss, which is that of one out of
-  /// `information_`.
+  /// The weight of the height term. The loss is that of one measurement, so the square is 1 / `information_`.
   double start_factor() const { return 1.0 / std::sqrt(information_); }
   double start_residual(ConstVec x) const {
     if (!has_start_height_) return 0.0;
@@ -280,7 +279,8 @@ class EstimationObjective final : public Objective {
     return start_factor() * (range.at(q + h) - range.at(q - h)) / (2.0 * h) / start_height_sigma_;
   }
 
-  /// The loss as 1/2 |r|^2: (x - mu) / sigma and sqrt(2 (1 + log(sigma / floor))) of every coordinate, then the rest.
+  /// The loss as 1/2 |r|^2. r holds (x - mu) / sigma and sqrt(2 (1 + log(sigma / floor))) of every coordinate, then the
+  /// prior on w and the height term.
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
                      bool with_jacobians, Evaluation& result) {
     const auto seen = static_cast<Index>(history_.coordinates.size());
@@ -353,7 +353,7 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
                      std::shared_ptr<const Optimiser> optimiser, const EstimatorParams& params, Host& host)
     : task_(task), predictor_(std::move(predictor)), optimiser_(std::move(optimiser)), params_(params), host_(host) {
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
-    throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
+    throw Unsupported("the optimiser needs gradients, but the predictor has none; choose a gradient-free optimiser");
   }
   if (!params_.deviation_scale.empty()) {
     require_shape("estimation: deviation_scale", static_cast<Index>(params_.deviation_scale.size()), 4);
@@ -377,8 +377,8 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   Vector centre(objective.dim());
   centre.head<4>() = before.centre;
   if (centre.size() == 8) centre.tail<4>() = before.width;
-  // Instance 0 starts from the previous estimate itself, the others from it with noise of their own. One in four starts
-  // anywhere, though not in the paper's variant: the first segments may have pointed to the wrong side of a ridge.
+  // Instance 0 starts from the previous estimate, the others from it plus noise. Except in the paper's variant, one in
+  // four starts anywhere, because the first segments may have led to the wrong side of a ridge.
   const double noise = first ? params_.noise : params_.later_noise;
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {

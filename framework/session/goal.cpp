@@ -67,7 +67,8 @@ SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const 
   if (!params.controls.is_null()) given.push_back("goal.controls");
   if (given.empty()) return goal;
   const ConfigNode node = place(origin, given.back());
-  if (given.size() > 1) node.fail("is given beside " + given.front() + "; at most one of obj, example and controls");
+  if (given.size() > 1)
+    node.fail("is given together with " + given.front() + "; give at most one of obj, example and controls");
   if (!params.controls.is_null()) {
     goal.controls = read_controls(params.controls, *task.trajectory, params.horizon);
     return goal;
@@ -115,7 +116,7 @@ SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& t
     }
     if (goal.shape.rows() == 0) {
       throw Error("goal: none of " + std::to_string(random_goal.attempts) + " random trajectories ended " +
-                  std::to_string(random_goal.min_distance_mm) + " mm or more from what the default control gives");
+                  std::to_string(random_goal.min_distance_mm) + " mm or more from the result of the default control");
     }
   }
   return goal;

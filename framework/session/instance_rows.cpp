@@ -54,7 +54,7 @@ std::unique_ptr<Prediction> predict_in_rows(const Predictor& predictor, const st
     throw Error("instance rows: instances must ascend within [0, " + std::to_string(count) + ")");
   if (predictor.capabilities().deterministic || cases.empty()) return predictor.predict(cases, request);
 
-  std::vector<std::size_t> ordinal(cases.size(), 0);  // of a case among those of its instance
+  std::vector<std::size_t> ordinal(cases.size(), 0);  // of each case among the cases of its instance
   for (std::size_t i = 1; i < cases.size(); ++i)
     if (instances[i] == instances[i - 1]) ordinal[i] = ordinal[i - 1] + 1;
   const std::size_t each = *std::max_element(ordinal.begin(), ordinal.end()) + 1;

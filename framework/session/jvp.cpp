@@ -67,13 +67,13 @@ std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predi
     }
   }
 
-  // Shapes of every side; empty where there is none.
+  // Shapes of every side; empty if its case has no result.
   std::vector<std::vector<ShapeDistribution>> shapes(sides.size());
   const auto batch = static_cast<std::size_t>(std::max<Index>(1, options.batch));
   std::vector<std::size_t> wanted;
   for (std::size_t k = 0; k < sides.size(); ++k)
     if (sides[k].amount != 0.0) wanted.push_back(k);
-  // Where bits depend on the batch, every case has batches of its own.
+  // If bits depend on the batch, a batch holds the sides of one case only.
   const bool mixed = predictor.capabilities().deterministic;
   for (std::size_t first = 0, last = 0; first < wanted.size(); first = last) {
     while (last < wanted.size() && last - first < batch &&
@@ -87,7 +87,7 @@ std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predi
       one.controls += side.amount * direction.controls;
       one.knowledge.centre += side.amount * direction.centre;
       one.knowledge.width += side.amount * direction.width;
-      // Rounding may leave [0, 1] by a bit; a centre or width that was outside before is left alone.
+      // Rounding may leave [0, 1] by a bit. Entries that do not move stay as they are, even outside [0, 1].
       for (Index p = 0; p < 4; ++p) {
         if (direction.centre(p) != 0.0) one.knowledge.centre(p) = std::clamp(one.knowledge.centre(p), 0.0, 1.0);
         if (direction.width(p) != 0.0) one.knowledge.width(p) = std::clamp(one.knowledge.width(p), 0.0, 1.0);
@@ -107,7 +107,7 @@ std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predi
     const double length = (has_up ? sides[k].amount : 0.0) - (has_down ? sides[k + 1].amount : 0.0);
     const auto& up = has_up ? shapes[k] : base;
     const auto& down = has_down ? shapes[k + 1] : base;
-    // A direction of zeros has derivative zero; one without any neighbour has none.
+    // A zero direction has derivative zero. If both sides have no result, there is no derivative.
     const bool is_zero = sides[k].amount == 0.0 && sides[k + 1].amount == 0.0;
     auto& derivatives = result[i][sides[k].direction];
     for (std::size_t s = 0; s < base.size(); ++s) {

@@ -11,7 +11,7 @@ namespace weft {
 namespace {
 
 constexpr int kBurnIn = 50;
-constexpr double kLeastPrecision = 1e-4;  // sd of 100 boxes: uniform for all purposes
+constexpr double kLeastPrecision = 1e-4;  // sd of 100 boxes: in effect uniform
 
 /// Standard normal given low <= z <= high [Robert 1995, "Simulation of truncated normal variables"].
 double truncated_normal(double low, double high, RandomStream& random) {
@@ -47,7 +47,7 @@ double truncated_normal(double low, double high, RandomStream& random) {
 MaterialPosterior MaterialPosterior::widened(const PropertyVector& factor) const {
   MaterialPosterior wide = *this;
   for (Index p = 0; p < 4; ++p) {
-    // A gradient that holds the mode against a bound belongs to the same log-likelihood as the precision.
+    // Gradient and precision belong to the same log-likelihood, so both are scaled.
     wide.gradient(p) /= factor(p) * factor(p);
     for (Index r = 0; r < 4; ++r) wide.precision(p, r) /= factor(p) * factor(r);
   }

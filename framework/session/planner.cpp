@@ -11,10 +11,10 @@
 namespace weft {
 namespace {
 
-constexpr double kSquareMm = 1e6;  // m^2 to mm^2: losses are of order 1 to 1e4 then
+constexpr double kSquareMm = 1e6;  // m^2 to mm^2, so that losses are between 1 and 1e4
 
-/// d progress / d state by central differences: progress is a smooth scalar of a handful of state variables, and its
-/// gradient is not worth a place in every trajectory plugin.
+/// d progress / d state by central differences. Progress is a smooth function of a handful of state variables, so
+/// trajectory plugins need not write its gradient.
 Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
   const auto variables = trajectory.state();
   Vector gradient(state.size());
@@ -51,7 +51,7 @@ class PlanningObjective final : public Objective {
         range_(predictor.control_range()) {}
 
   Index dim() const override { return task_.trajectory->decision_size(horizon_); }
-  /// Residuals: the shape's (3 V; as many of sigma with loss: expected), then those of the activity loss.
+  /// Residuals: 3 V of the shape, with `loss: expected` also 3 V of sigma, then those of the activity loss.
   /// Cost = 1/2 |r|^2 up to rounding.
   ObjectiveCapabilities capabilities() const override {
     const auto controls = static_cast<Index>(task_.trajectory->controls().size());
@@ -85,7 +85,7 @@ class PlanningObjective final : public Objective {
         result.costs(i) = std::numeric_limits<double>::infinity();
         continue;
       }
-      // Row v is weighted by the vertex's weight, once for the loss and once for its gradient.
+      // Row v is weighted by the vertex's weight, both in the loss and in its gradient.
       const auto& shape = prediction->shapes()[at].front();
       const Positions difference = shape.mean - *request_.goal;
       const Positions weighted = weights_.asDiagonal() * difference;
@@ -116,7 +116,7 @@ class PlanningObjective final : public Objective {
     return result;
   }
 
-  /// The case of one decision vector: only the shape after the release segment u (eq. 5) is asked for.
+  /// The case of one decision vector. It requests only the shape after the release segment u (eq. 5).
   PredictionCase make_case(ConstVec x) const {
     PredictionCase one{.shape = request_.shape, .previous = request_.previous, .state = request_.state};
     one.controls = decode(x);
@@ -124,7 +124,7 @@ class PlanningObjective final : public Objective {
     one.segments = {task_.trajectory->release_segment(task_.manipulation, request_.state, one.controls)};
     return one;
   }
-  /// Controls of a decision vector, inside the range that the predictor knows.
+  /// Controls of a decision vector, clamped to the predictor's control range.
   Controls decode(ConstVec x) const {
     Controls controls = task_.trajectory->decode(x, horizon_, request_.state);
     if (range_) {
@@ -136,7 +136,7 @@ class PlanningObjective final : public Objective {
   Index evaluations() const { return evaluations_; }
 
  private:
-  /// A control that was cut off moves nothing outwards; inwards it may move.
+  /// A clamped control gets no gradient outwards, but keeps one inwards.
   void limit_gradient(ConstVec x, Controls& gradient) const {
     if (!range_) return;
     const Controls wanted = task_.trajectory->decode(x, horizon_, request_.state);
@@ -151,7 +151,7 @@ class PlanningObjective final : public Objective {
   Index shape_rows() const { return (moments_ == Moments::mean ? 1 : 2) * request_.goal->size(); }
   bool uses_jvp(const EvaluationRequest& wanted) const { return wanted.jacobians && predictor_.capabilities().jvp; }
 
-  /// Eq. 4 as 1/2 |r|^2. The release segment u is held fixed for the Jacobian, as it is for the gradient.
+  /// Eq. 4 as 1/2 |r|^2. Jacobian and gradient hold the release segment u fixed.
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
                      bool with_jacobians, Evaluation& result) {
     const Index rows = capabilities().residuals, columns = dim(), n = x.cols();
@@ -180,13 +180,13 @@ class PlanningObjective final : public Objective {
                                                  with_jacobians ? &d_activity : nullptr);
       result.residuals.col(i).tail(activity.size()) = activity_weight * activity;
       if (!with_jacobians) continue;
-      // d controls / dx up to u, row by row; what comes later moves nothing.
+      // d controls / dx up to u, row by row. Later controls have no effect.
       const Index controls = one.controls.cols();
       Matrix decode(u * controls, columns);
       Controls unit = Controls::Zero(one.controls.rows(), controls);
       const Controls uncut = task_.trajectory->decode(x.col(i), horizon_, request_.state);
       for (Index k = 0; k < decode.rows(); ++k) {
-        if (uncut.data()[k] != one.controls.data()[k]) {  // cut off: moves nothing
+        if (uncut.data()[k] != one.controls.data()[k]) {  // clamped: no effect
           decode.row(k).setZero();
           continue;
         }
@@ -292,7 +292,7 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
       }
     }
   }
-  // Progress still needed, spread over all b segments, is the pace below which a segment counts as slow.
+  // A segment is slow if its pace is below the remaining progress divided by b segments.
   const double remaining = std::max(1e-9, 1.0 - trajectory.progress(state));
   const double pace = remaining / static_cast<double>(horizon);
   for (Index j = 0; j < u; ++j) {
@@ -320,7 +320,7 @@ Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigN
   if (!params.vertex_weights.empty() && params.vertex_weights.size() != counted.size()) {
     place(origin, "planning.vertex_weights")
         .fail("has " + std::to_string(params.vertex_weights.size()) + " numbers, must have " +
-              std::to_string(counted.size()) + ": one per vertex that counts");
+              std::to_string(counted.size()) + ": one per vertex in planning.vertices");
   }
   Vector weights = Vector::Constant(vertices, -1.0);
   for (std::size_t i = 0; i < counted.size(); ++i) {
@@ -343,7 +343,7 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
                  std::shared_ptr<const Optimiser> optimiser, const PlannerParams& params, Host& host)
     : task_(task), predictor_(std::move(predictor)), optimiser_(std::move(optimiser)), params_(params), host_(host) {
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
-    throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
+    throw Unsupported("the optimiser needs gradients, but the predictor has none; choose a gradient-free optimiser");
   }
   weights_ = vertex_weights(params_, task_.garment->vertex_count());
 }
@@ -363,7 +363,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   const Index kept = std::min(request.warm_start.rows(), plan.horizon);
   if (!first) start.topRows(kept) = request.warm_start.topRows(kept);
 
-  // Instance 0 starts from the plan itself; the others from the plan with noise of their own.
+  // Instance 0 starts from the plan itself, the others from the plan plus noise.
   const Box bounds = trajectory.decision_bounds(plan.horizon);
   const Vector scale = trajectory.decision_scale(plan.horizon);
   const Vector centre = trajectory.encode(start, request.state);
@@ -407,7 +407,7 @@ Plan Planner::plan(const PlanRequest& request) const {
 
   plan.ended = search_end(results, plan.instance);
 
-  // The winner, truncated after its release segment, with the whole predicted sequence.
+  // Truncate the winner after its release segment and predict its whole sequence.
   PredictionCase winner = objective.make_case(results[static_cast<std::size_t>(plan.instance)].x);
   const Index u = winner.segments.front();
   winner.controls.conservativeResize(u, Eigen::NoChange);

@@ -28,7 +28,7 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
                         std::to_string(recorded->segments()));
     const auto at = static_cast<std::size_t>(segment - 1);
     const auto& round = recorded->rounds[at];
-    // After segment `number`; 0: the start, which is recorded as it was and not as it was seen.
+    // The observation after segment `number`; 0: the start, which is recorded as its true shape.
     const auto seen = [&](Index number) -> std::shared_ptr<const Positions> {
       if (number == 0) return filled_start(task, observe_shape(recorded->start, params.observation, seed, 0));
       return std::make_shared<const Positions>(recorded->rounds[static_cast<std::size_t>(number - 1)].observed);
@@ -105,7 +105,7 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
     result.true_material = true_material_of(params);
     if (!result.true_material) {
       place(origin, "environment.command")
-          .fail("executes the fold, of unknown material: the default fold, which is simulated, needs true_material");
+          .fail("executes the fold, so the material is unknown; the simulated default fold needs true_material");
     }
     const Controls controls = task.trajectory->default_controls(params.goal.horizon);
     FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, *result.true_material, controls);

@@ -10,7 +10,7 @@
 namespace weft {
 namespace {
 
-/// Reads with the file's name in every refusal.
+/// Reads a session file. Every error message names the file.
 class Reader {
  public:
   explicit Reader(const std::filesystem::path& path) : name_(path.string()), file_(Hdf5File::open(path)) {}
@@ -88,7 +88,7 @@ RoundRecord read_round(const Reader& in, const std::string& group, Index vertice
   return round;
 }
 
-/// Names and units of what the controls and the state are made of.
+/// Names and units of the control and state variables.
 std::string trajectory_json(const Trajectory& trajectory) {
   const auto list = [](const std::vector<Variable>& variables) {
     auto items = nlohmann::ordered_json::array();
@@ -116,14 +116,14 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
     }
     file.write(group + "/loss_curves", curves);
   }
-  // Single precision: a prediction is good to a fraction of a millimetre at best.
+  // Single precision is enough: the error of a prediction is a fraction of a millimetre at best.
   std::vector<float> mean, sigma;
   for (const auto& shape : round.plan.shapes) {
     const auto m = to_frame(shape.mean), s = to_frame(shape.sigma);
     mean.insert(mean.end(), m.begin(), m.end());
     sigma.insert(sigma.end(), s.begin(), s.end());
   }
-  // Where the plan would take the hands: what a page needs to draw it without the trajectory plugin.
+  // Planned targets of the hands. With them a page can draw the plan without the trajectory plugin.
   std::vector<float> targets;
   Vector state = round.state;
   for (Index j = 0; j < round.plan.controls.rows(); ++j) {
@@ -241,7 +241,7 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
 SessionRecord read_session(const std::filesystem::path& path) {
   const Reader in(path);
   if (!in.has("/schema") || in.text("/schema") != "weft session 1")
-    in.fail("/schema", "must be 'weft session 1': this is no recorded session");
+    in.fail("/schema", "must be 'weft session 1': this is not a recorded session");
   SessionRecord record;
   record.config = in.text("/config");
   record.provenance = in.text("/provenance");

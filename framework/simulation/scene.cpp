@@ -10,7 +10,7 @@
 namespace weft {
 namespace {
 
-// A keyframe this close behind a frame boundary belongs to it: 0.1 s is frame 6, whatever the rounding.
+// A keyframe this close after a frame boundary counts as on it, so that rounding cannot move 0.1 s off frame 6.
 constexpr double kTimeSlack = 1e-9;
 
 /// First frame boundary at or after a time.
@@ -32,7 +32,7 @@ Vec3 vector_in(const ConfigNode& node, double limit) {
   return value;
 }
 
-/// A list of vertices, by index or by the garment's names; each once.
+/// A list of vertices without repetition, by index or by the garment's names.
 std::vector<Index> vertices_in(const ConfigNode& node, const Garment& garment) {
   if (!node.is_sequence()) node.fail("must be a list of vertices");
   std::vector<Index> vertices;
@@ -107,7 +107,8 @@ void check_holds(const ConfigNode& grasps_node, const SceneRun& run) {
         if (std::find(held.begin(), held.end(), vertex) != held.end() && overlap(run.grasps[g], run.grasps[other])) {
           grasps_node[g]
               .at("vertices")
-              .fail("holds vertex " + std::to_string(vertex) + " while grasp " + std::to_string(other) + " does");
+              .fail("holds vertex " + std::to_string(vertex) + ", which grasp " + std::to_string(other) +
+                    " holds at the same time");
         }
       }
     }
@@ -129,7 +130,8 @@ void add_warning(SceneResult& result, const std::string& text) {
   }
 }
 
-/// What the scene asks of a simulator that does not declare it. @throws ConfigError where it could not even begin.
+/// Adds a warning for each ability that the scene needs and the simulator does not declare.
+/// @throws ConfigError if the simulator cannot run the scene at all.
 void check_capabilities(const SceneRun& run, const SimulatorCapabilities& capabilities, SceneResult& result) {
   if (!run.scene.pins.empty() && !capabilities.pins) {
     throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
@@ -140,10 +142,10 @@ void check_capabilities(const SceneRun& run, const SimulatorCapabilities& capabi
   }
 }
 
-/// The scripted hands: what they hold, and where they want it.
+/// The scripted hands: the held vertices and their targets.
 class Hands {
  public:
-  /// Lets go and takes hold of what the script says for the boundary before this frame.
+  /// Releases and grasps the vertices that the script gives for the boundary before this frame.
   void update(Simulator& simulator, const std::vector<SceneGrasp>& grasps, Index frame) {
     for (std::size_t h = 0; h < holds_.size();) {
       const SceneGrasp& grasp = *holds_[h].grasp;
@@ -156,7 +158,7 @@ class Hands {
     }
     for (const SceneGrasp& grasp : grasps) {
       if (frame_at(grasp.keyframes.front().time) != frame) continue;
-      // Keyframe and release inside one frame: there is nothing to hold.
+      // First keyframe and release fall into the same frame, so the grasp has no effect.
       if (grasp.release && frame_at(*grasp.release) <= frame) continue;
       Hold hold{&grasp, Positions(static_cast<Index>(grasp.vertices.size()), 3)};
       for (std::size_t i = 0; i < grasp.vertices.size(); ++i) {
@@ -166,7 +168,7 @@ class Hands {
       holds_.push_back(std::move(hold));
     }
   }
-  /// [held, 3] m, at the end of the frame, in the simulator's own order of held vertices.
+  /// Targets [held, 3] m at the end of the frame, in the simulator's order of held vertices.
   Positions targets(const Simulator& simulator, Index frame) const {
     const std::vector<Index> held = simulator.grasped();
     Positions targets(static_cast<Index>(held.size()), 3);
@@ -185,7 +187,7 @@ class Hands {
  private:
   struct Hold {
     const SceneGrasp* grasp;
-    Positions origin;  // [vertices, 3] where they were taken hold of
+    Positions origin;  // [vertices, 3] m, when they were grasped
   };
   std::vector<Hold> holds_;
 };
@@ -313,7 +315,7 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
 std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
   std::vector<double> sorted = result.frame_seconds;
   std::sort(sorted.begin(), sorted.end());
-  // A frame that was measured, not one between two.
+  // The quantile is a measured value, not an interpolated one.
   const auto nearest_rank_ms = [&sorted](double p) {
     if (sorted.empty()) return 0.0;
     const auto rank = static_cast<std::size_t>(std::ceil(p * static_cast<double>(sorted.size())));

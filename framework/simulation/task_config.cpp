@@ -36,17 +36,17 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
         task.garment->positions.row(manipulation.grasp_vertices.back());
   }
   const ConfigNode displacement = place(origin, "manipulation.displacement_m");
-  const std::string remedy = "; it gives the direction of the fold, and `weft displacement` tunes its length";
+  const std::string remedy = "; its direction is that of the fold, and `weft displacement` tunes its length";
   if (params.manipulation.displacement_m.empty()) must_be(displacement, "a list of 2 numbers, m" + remedy);
   require_shape("task: displacement", static_cast<Index>(params.manipulation.displacement_m.size()), 2);
   manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
   manipulation.drop_height = params.manipulation.drop_height_m;
-  // One path for every fabric: the targets clear the ground under the thickest one.
+  // All fabrics share one path, so the targets must clear the ground with the thickest one.
   const auto& thickness = task.material.ranges[3];
   manipulation.contact_height = task.scene.ground_height.value_or(0.0) + std::max(thickness.low, thickness.high);
   manipulation.grasp_points.col(2).setConstant(manipulation.contact_height);
   try {
-    task.trajectory->initial_state(manipulation);  // refuses |d| = 0 and the like here, before any work
+    task.trajectory->initial_state(manipulation);  // refuses a bad manipulation, such as |d| = 0, before any work
   } catch (const ConfigError& error) {
     fail_because(displacement, error.what() + remedy);
   }

@@ -365,7 +365,7 @@ TEST_F(Export, WrongUseAndDamagedFilesAreRefused) {
   auto other = Hdf5File::create(*folder_ / "other.h5");
   other.write("/schema", std::string("something else"));
   other.commit();
-  refused(weft_command("export '" + (*folder_ / "other.h5").string() + "' --to obj"), "this is no recorded session");
+  refused(weft_command("export '" + (*folder_ / "other.h5").string() + "' --to obj"), "this is not a recorded session");
 }
 
 }  // namespace

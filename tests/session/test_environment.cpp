@@ -110,7 +110,7 @@ TEST_F(ProcessSession, RefusesConfigsThatAProcessCannotServe) {
   const std::pair<std::vector<std::string>, std::string> cases[] = {
       {{"environment.command=[/none/robot]", "knowledge=none"},
        "--set: environment.command = [/none/robot]: cannot be run: No such file or directory"},
-      {{"environment.command=[cat]", "environment.folder=/none", "knowledge=none"}, "/none, does not exist"},
+      {{"environment.command=[cat]", "environment.folder=/none", "knowledge=none"}, "/none does not exist"},
       {{"environment.command=[cat]"}, "knowledge = true, which needs true_material"},
       {{"environment.command=[cat]", "knowledge=drawn"}, "--set: knowledge = drawn, which needs true_material"},
       {{"environment.command=[cat]", "knowledge=none", "observation.hidden_share=0.5"},
@@ -203,7 +203,7 @@ TEST_F(Process, EveryFailureHasItsOwnMessage) {
       {"answer('observation')", "sent an observation without positions_m"},
       {"answer('observation', positions_m=[[0, 0, 0]] * 2)", "observed 2 vertices, must be " + n},
       {"answer('observation', positions_m=[[0, 0]] * n)", "observed vertex 0 at '[0,0]', must be [x, y, z] in m"},
-      {"answer('observation', positions_m=[None] * n)", "sees no vertex at all"},
+      {"answer('observation', positions_m=[None] * n)", "observed no vertex"},
       {"answer('observation', positions_m=[[0, 0, float('nan')]] * n)", "with a number that is not finite"},
       {"print('{\"type\": \"observation\", \"positions_m\": [[1e999, 0, 0]]}', flush=True)",
        "with a number that is not finite"},

@@ -248,7 +248,7 @@ TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
       {{"goal.controls=[99, 0, 0, 0, 0]"}, "--set: goal.controls.0 = 99, must be in [0.5, 4] deg/frame (dtheta)"},
       {{"goal.controls=[[2, 0, 0, 0, 0], [2, 0, -9, 0, 0]]"}, "--set: goal.controls.1.2 = -9, must be in ["},
       {{"goal.controls=[2, 0, 0, 0, 0]", "goal.obj=x.obj"},
-       "--set: goal.controls is given beside goal.obj; at most one"},
+       "--set: goal.controls is given together with goal.obj; give at most one"},
       {{"goal.obj=/none.obj"}, "--set: goal.obj = /none.obj: /none.obj: no such file"},
       {{"goal.obj=" + points}, ": has 3 vertices, must have the garment's "},
       {{"goal.example=/none.h5"}, "--set: goal.example = /none.h5: /none.h5: does not exist"},

@@ -169,7 +169,7 @@ TEST_F(ReportFolder, RefusesWhatIsNoSession) {
     read_session(folder_ / "session.h5");
     FAIL();
   } catch (const ConfigError& error) {
-    EXPECT_THAT(error.what(), HasSubstr("this is no recorded session"));
+    EXPECT_THAT(error.what(), HasSubstr("this is not a recorded session"));
   }
 }
 
