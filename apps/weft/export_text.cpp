@@ -63,7 +63,7 @@ std::string identifier(const std::string& name) {
 
 Timeline every_nth(const SessionRecord& session, std::size_t n) {
   const std::size_t last = session.frames.size() - 1;
-  const auto release = static_cast<std::size_t>(session.segment_frame(session.segments()));
+  const std::size_t release = session.segment_frame(session.segments());
   Timeline timeline;
   for (std::size_t frame = 0; frame <= last; ++frame) {
     if (frame % n != 0 && frame != release && frame != last) continue;
@@ -146,7 +146,7 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   };
   const auto names = [&](const char* kind, Index count) {
     for (Index c = 0; c < count; ++c) {
-      const auto i = static_cast<std::size_t>(c);
+      const std::size_t i = c;
       const bool named = trajectory.is_object() && trajectory.contains(kind) && i < trajectory[kind].size();
       segments.text("," +
                     (named ? trajectory[kind][i]["name"].get<std::string>() : std::string(kind) + std::to_string(c)));

@@ -32,17 +32,17 @@ void for_manipulations(const Trajectory& trajectory, Each&& each) {
 }
 
 Vector scales(const std::vector<Variable>& variables) {
-  Vector s(static_cast<Index>(variables.size()));
-  for (Index i = 0; i < s.size(); ++i) s[i] = variables[static_cast<std::size_t>(i)].scale;
+  Vector s(variables.size());
+  for (Index i = 0; i < s.size(); ++i) s[i] = variables[i].scale;
   return s;
 }
 
 /// Controls inside their bounds: the default plus up to one scale either way.
 Vector random_control(const Trajectory& trajectory, RandomStream& random) {
   const auto variables = trajectory.controls();
-  Vector c(static_cast<Index>(variables.size()));
+  Vector c(variables.size());
   for (Index i = 0; i < c.size(); ++i) {
-    const auto& v = variables[static_cast<std::size_t>(i)];
+    const auto& v = variables[i];
     c[i] = std::clamp(v.default_value + v.scale * random.uniform(-1.0, 1.0), v.lower, v.upper);
   }
   return c;
@@ -247,7 +247,7 @@ Outcome decode_pullback_is_exact(const Bench& bench) {
   const Vector state = t->initial_state(m);
   for (Index horizon : {1, 3}) {
     const Vector x = t->encode(t->default_controls(horizon), state);
-    Controls w(horizon, static_cast<Index>(t->controls().size()));
+    Controls w(horizon, t->controls().size());
     for (Index i = 0; i < w.size(); ++i) w.data()[i] = random.normal();
     w.array().rowwise() /= scales(t->controls()).transpose().array();
     const auto value = [&](const Vector& at) { return t->decode(at, horizon, state).cwiseProduct(w).sum(); };
@@ -280,9 +280,9 @@ Outcome decision_box_is_sound(const Bench& bench) {
         !((start - box.upper).array() <= 1e-9 * scale.array()).all())
       wrong.miss("a box without the default trajectory" + at);
     const Controls c = t->decode(random_decision(*t, horizon, random), horizon, state);
-    require_shape("columns of decode()", c.cols(), static_cast<Index>(variables.size()));
+    require_shape("columns of decode()", c.cols(), variables.size());
     for (Index i = 0; i < c.cols(); ++i) {
-      const auto& v = variables[static_cast<std::size_t>(i)];
+      const auto& v = variables[i];
       if (!(c.col(i).array() >= v.lower - 1e-9 * v.scale).all() ||
           !(c.col(i).array() <= v.upper + 1e-9 * v.scale).all())
         wrong.miss("a point of the box that decodes to " + v.name + " out of its bounds" + at);

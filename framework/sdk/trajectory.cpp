@@ -68,9 +68,9 @@ Vector Trajectory::decision_scale(Index horizon) const {
 
 Controls Trajectory::default_controls(Index horizon) const {
   const auto variables = controls();
-  Controls result(horizon, static_cast<Index>(variables.size()));
+  Controls result(horizon, variables.size());
   for (std::size_t c = 0; c < variables.size(); ++c) {
-    result.col(static_cast<Index>(c)).setConstant(variables[c].default_value);
+    result.col(c).setConstant(variables[c].default_value);
   }
   return result;
 }

@@ -34,7 +34,7 @@ History collect(const EstimateRequest& request, Index vertices) {
     const auto& seen = *request.observations[j];
     const std::string where = "estimation: observation " + std::to_string(j + 1);
     require_shape(where + ": positions", seen.positions.rows(), vertices);
-    if (!seen.observed.empty()) require_shape(where + ": observed", static_cast<Index>(seen.observed.size()), vertices);
+    if (!seen.observed.empty()) require_shape(where + ": observed", seen.observed.size(), vertices);
     if (!(seen.sigma >= 0.0) || !std::isfinite(seen.sigma)) throw Error(where + ": sigma must be finite and >= 0");
     const std::size_t before = history.coordinates.size();
     for (Index v = 0; v < vertices; ++v) {
@@ -104,7 +104,7 @@ class EstimationObjective final : public Objective {
 
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
     require_shape("estimation objective: x rows", x.rows(), dim());
-    require_shape("estimation objective: instances", static_cast<Index>(instances.size()), x.cols());
+    require_shape("estimation objective: instances", instances.size(), x.cols());
     if (wanted.gradients && !capabilities().gradients)
       throw Unsupported("estimation objective: the predictor has no gradients");
     const Index n = x.cols();
@@ -121,7 +121,7 @@ class EstimationObjective final : public Objective {
     result.costs = Vector::Constant(n, std::numeric_limits<double>::infinity());
     std::vector<std::vector<ShapeCotangent>> cotangents(cases.size());
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
+      const std::size_t at = i;
       cotangents[at].resize(history_.segments.size());
       if (!prediction->failure(at).empty()) continue;
       const auto& shapes = prediction->shapes()[at];
@@ -134,7 +134,7 @@ class EstimationObjective final : public Objective {
       const auto gradients = prediction->pullback(cotangents);
       result.gradients = Matrix::Zero(dim(), n);
       for (Index i = 0; i < n; ++i) {
-        const auto at = static_cast<std::size_t>(i);
+        const std::size_t at = i;
         if (!std::isfinite(result.costs(i))) continue;
         result.gradients.col(i).head<4>() = gradients[at].centre;
         if (!is_certain_) result.gradients.col(i).tail<4>() = gradients[at].width;
@@ -186,7 +186,7 @@ class EstimationObjective final : public Objective {
     MaterialPosterior result;
     result.mode = mode;
     for (std::size_t p = 0; p < 4; ++p) {
-      const auto i = static_cast<Index>(p);
+      const Index i = p;
       const bool has_lower = prediction->failure(1 + 2 * p).empty() && low(i) < mode(i);
       const bool has_upper = prediction->failure(2 + 2 * p).empty() && high(i) > mode(i);
       lower[p] = has_lower ? &shapes[1 + 2 * p] : &shapes[0];
@@ -283,18 +283,18 @@ class EstimationObjective final : public Objective {
   /// The loss as 1/2 |r|^2: (x - mu) / sigma and sqrt(2 (1 + log(sigma / floor))) of every coordinate, then the rest.
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
                      bool with_jacobians, Evaluation& result) {
-    const auto seen = static_cast<Index>(history_.coordinates.size());
+    const Index seen = history_.coordinates.size();
     const Index rows = capabilities().residuals, n = x.cols();
     const double root = std::sqrt(per_coordinate_);
     result.residuals = Matrix::Zero(rows, n);
-    if (with_jacobians) result.jacobians.assign(static_cast<std::size_t>(n), Matrix::Zero(rows, dim()));
-    std::vector<std::vector<CaseDirection>> directions(static_cast<std::size_t>(n));
+    if (with_jacobians) result.jacobians.assign(n, Matrix::Zero(rows, dim()));
+    std::vector<std::vector<CaseDirection>> directions(n);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
+      const std::size_t at = i;
       if (!std::isfinite(result.costs(i))) continue;
       const auto& shapes = prediction.shapes()[at];
       for (Index k = 0; k < seen; ++k) {
-        const auto& c = history_.coordinates[static_cast<std::size_t>(k)];
+        const auto& c = history_.coordinates[k];
         const double deviation = std::sqrt(variance_of(shapes, c));
         result.residuals(k, i) = root * (c.position - shapes[c.shape].mean.data()[c.entry]) / deviation;
         result.residuals(seen + k, i) =
@@ -317,14 +317,14 @@ class EstimationObjective final : public Objective {
     const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, Moments::mean_and_sigma,
                                  {.step = params_.difference_step}, &evaluations_);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
+      const std::size_t at = i;
       if (!std::isfinite(result.costs(i))) continue;
       const auto& shapes = prediction.shapes()[at];
       for (Index k = 0; k < seen; ++k) {
-        const auto& c = history_.coordinates[static_cast<std::size_t>(k)];
+        const auto& c = history_.coordinates[k];
         const double s = shapes[c.shape].sigma.data()[c.entry], deviation = std::sqrt(variance_of(shapes, c));
         for (Index p = 0; p < dim(); ++p) {
-          const auto& change = derivatives[at][static_cast<std::size_t>(p)][c.shape];
+          const auto& change = derivatives[at][p][c.shape];
           const double d_log = change.sigma.data()[c.entry] * s / (deviation * deviation);  // of the total deviation
           result.jacobians[at](k, p) = -root * change.mean.data()[c.entry] / deviation - result.residuals(k, i) * d_log;
           if (deviation > kSigmaFloor)
@@ -356,7 +356,7 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
     throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
   }
   if (!params_.deviation_scale.empty()) {
-    require_shape("estimation: deviation_scale", static_cast<Index>(params_.deviation_scale.size()), 4);
+    require_shape("estimation: deviation_scale", params_.deviation_scale.size(), 4);
     deviation_scale_ = Eigen::Map<const Eigen::Vector4d>(params_.deviation_scale.data());
   }
 }
@@ -364,7 +364,7 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
 Estimate Estimator::estimate(const EstimateRequest& request) const {
   const auto started = std::chrono::steady_clock::now();
   require_shape("estimation: start", request.start->rows(), task_.garment->vertex_count());
-  require_shape("estimation: observations", static_cast<Index>(request.observations.size()), request.controls.rows());
+  require_shape("estimation: observations", request.observations.size(), request.controls.rows());
   if (!request.start->allFinite()) throw Error("estimation: the start shape is not finite");
   Estimate estimate;
   const History history = collect(request, task_.garment->vertex_count());
@@ -410,7 +410,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   if (!std::isfinite(estimate.loss))
     throw Error("estimation: no instance reached a finite loss: " + results.front().message);
   estimate.ended = search_end(results, estimate.instance);
-  const Vector& best = results[static_cast<std::size_t>(estimate.instance)].x;
+  const Vector& best = results[estimate.instance].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});
   objective.rate(prediction->shapes().front(), estimate);
   if (params_.method == "posterior") {

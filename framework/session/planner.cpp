@@ -19,7 +19,7 @@ Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
   const auto variables = trajectory.state();
   Vector gradient(state.size());
   for (Index s = 0; s < state.size(); ++s) {
-    const double step = 1e-4 * variables[static_cast<std::size_t>(s)].scale;
+    const double step = 1e-4 * variables[s].scale;
     Vector up = state, down = state;
     up(s) += step;
     down(s) -= step;
@@ -54,14 +54,14 @@ class PlanningObjective final : public Objective {
   /// Residuals: the shape's (3 V; as many of sigma with loss: expected), then those of the activity loss.
   /// Cost = 1/2 |r|^2 up to rounding.
   ObjectiveCapabilities capabilities() const override {
-    const auto controls = static_cast<Index>(task_.trajectory->controls().size());
+    const Index controls = task_.trajectory->controls().size();
     return {.gradients = predictor_.capabilities().gradients,
             .residuals = shape_rows() + (horizon_ - 1) * controls + horizon_};
   }
 
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
     require_shape("planning objective: x rows", x.rows(), dim());
-    require_shape("planning objective: instances", static_cast<Index>(instances.size()), x.cols());
+    require_shape("planning objective: instances", instances.size(), x.cols());
     if (wanted.gradients && !capabilities().gradients)
       throw Unsupported("planning objective: the predictor has no gradients");
     const Index n = x.cols();
@@ -76,10 +76,10 @@ class PlanningObjective final : public Objective {
 
     Evaluation result;
     result.costs.resize(n);
-    std::vector<std::vector<ShapeCotangent>> cotangents(static_cast<std::size_t>(n));
-    std::vector<Controls> d_activity(static_cast<std::size_t>(n));
+    std::vector<std::vector<ShapeCotangent>> cotangents(n);
+    std::vector<Controls> d_activity(n);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
+      const std::size_t at = i;
       cotangents[at].resize(1);
       if (!prediction->failure(at).empty()) {
         result.costs(i) = std::numeric_limits<double>::infinity();
@@ -105,7 +105,7 @@ class PlanningObjective final : public Objective {
       const auto gradients = prediction->pullback(cotangents);
       result.gradients = Matrix::Zero(dim(), n);
       for (Index i = 0; i < n; ++i) {
-        const auto at = static_cast<std::size_t>(i);
+        const std::size_t at = i;
         if (!std::isfinite(result.costs(i))) continue;
         Controls total = gradients[at].controls + params_.activity_weight * d_activity[at];
         limit_gradient(x.col(i), total);
@@ -162,11 +162,11 @@ class PlanningObjective final : public Objective {
     const auto flat = [](const Positions& p) { return Eigen::Map<const Vector>(p.data(), p.size()); };
     const double activity_weight = std::sqrt(2.0 * params_.activity_weight);
     result.residuals = Matrix::Zero(rows, n);
-    if (with_jacobians) result.jacobians.assign(static_cast<std::size_t>(n), Matrix::Zero(rows, columns));
-    std::vector<std::vector<CaseDirection>> directions(static_cast<std::size_t>(n));
+    if (with_jacobians) result.jacobians.assign(n, Matrix::Zero(rows, columns));
+    std::vector<std::vector<CaseDirection>> directions(n);
     std::vector<std::vector<Index>> variables(directions.size());  // of x, one per direction
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
+      const std::size_t at = i;
       if (!std::isfinite(result.costs(i))) continue;
       const auto& one = cases[at];
       const Index u = one.segments.front();
@@ -242,7 +242,7 @@ Vector activity_residuals(const Task& task, ConstVec state, const Controls& cont
   const double root = std::sqrt(1.0 / static_cast<double>(u));
   for (Index j = 0; j + 1 < u; ++j) {
     for (Index c = 0; c < columns; ++c) {
-      const double factor = root / variables[static_cast<std::size_t>(c)].scale;
+      const double factor = root / variables[c].scale;
       const Index row = j * columns + c;
       residuals(row) = factor * (controls(j + 1, c) - controls(j, c));
       if (jacobian) {
@@ -283,7 +283,7 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
   const double per_segment = 1.0 / static_cast<double>(u);
   for (Index j = 0; j + 1 < u; ++j) {
     for (Index c = 0; c < controls.cols(); ++c) {
-      const double scale = variables[static_cast<std::size_t>(c)].scale;
+      const double scale = variables[c].scale;
       const double jump = (controls(j + 1, c) - controls(j, c)) / scale;
       loss += per_segment * jump * jump;
       if (gradient) {
@@ -328,7 +328,7 @@ Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigN
       place(origin, "planning.vertices." + std::to_string(i))
           .fail("= " + ConfigNode::number(counted[i]).as_string() + problem);
     };
-    const auto v = static_cast<Index>(counted[i]);
+    const Index v = counted[i];
     if (static_cast<double>(v) != counted[i] || v >= vertices)
       refuse(", must be a vertex in [0, " + std::to_string(vertices - 1) + "]");
     if (weights(v) >= 0.0) refuse(" is listed twice");
@@ -408,7 +408,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   plan.ended = search_end(results, plan.instance);
 
   // The winner, truncated after its release segment, with the whole predicted sequence.
-  PredictionCase winner = objective.make_case(results[static_cast<std::size_t>(plan.instance)].x);
+  PredictionCase winner = objective.make_case(results[plan.instance].x);
   const Index u = winner.segments.front();
   winner.controls.conservativeResize(u, Eigen::NoChange);
   winner.segments.clear();

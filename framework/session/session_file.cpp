@@ -26,7 +26,7 @@ class Reader {
 
   Vector vector(const std::string& path, Index wanted = -1) const {
     const auto values = file_.read(path);
-    const auto size = static_cast<Index>(values.size());
+    const Index size = values.size();
     if (wanted >= 0 && size != wanted) {
       fail(path, "has " + std::to_string(size) + " numbers, must have " + std::to_string(wanted));
     }
@@ -111,8 +111,8 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
   if (!round.plan.curves.empty()) {
     Controls curves(static_cast<Index>(round.plan.curves.size()), losses.size());
     for (Index r = 0; r < curves.rows(); ++r) {
-      const auto& row = round.plan.curves[static_cast<std::size_t>(r)];
-      for (Index c = 0; c < curves.cols(); ++c) curves(r, c) = row[static_cast<std::size_t>(c)];
+      const auto& row = round.plan.curves[r];
+      for (Index c = 0; c < curves.cols(); ++c) curves(r, c) = row[c];
     }
     file.write(group + "/loss_curves", curves);
   }
@@ -219,10 +219,10 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   if (result.goal_controls.rows() > 0) file.write("/goal_controls", result.goal_controls);
   if (result.true_material) file.write("/true_material", Vector(*result.true_material));
   if (!result.estimates.empty()) {
-    Controls centre(static_cast<Index>(result.estimates.size()), 4), width = centre;
+    Controls centre(result.estimates.size(), 4), width = centre;
     for (Index j = 0; j < centre.rows(); ++j) {
-      centre.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.centre.transpose();
-      width.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.width.transpose();
+      centre.row(j) = result.estimates[j].knowledge.centre.transpose();
+      width.row(j) = result.estimates[j].knowledge.width.transpose();
     }
     file.write("/estimates/centre", centre);
     file.write("/estimates/width", width);

@@ -49,7 +49,7 @@ struct SessionRecord {
   bool released() const { return settle_frames() > 0; }
   /// [V, 3] m, what the cloth was after segment j = 0, 1, ...; settled if it was the last.
   const Positions& shape_after(Index j) const {
-    return j + 1 >= segments() ? frames.back() : frames[static_cast<std::size_t>(segment_frame(j + 1))];
+    return j + 1 >= segments() ? frames.back() : frames[segment_frame(j + 1)];
   }
 };
 

@@ -27,7 +27,7 @@ double number_in(const ConfigNode& node, double low, double high) {
 Vec3 vector_in(const ConfigNode& node, double limit) {
   if (!node.is_sequence() || node.size() != 3) node.fail("must be a list of 3 numbers");
   Vec3 value;
-  for (std::size_t k = 0; k < 3; ++k) value[static_cast<Index>(k)] = number_in(node[k], -limit, limit);
+  for (std::size_t k = 0; k < 3; ++k) value[k] = number_in(node[k], -limit, limit);
   return value;
 }
 
@@ -240,7 +240,7 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
 
   std::vector<Hold> holds;
   const Index frames = run.frames();
-  result.frame_seconds.reserve(static_cast<std::size_t>(frames));
+  result.frame_seconds.reserve(frames);
   for (Index frame = 0; frame < frames; ++frame) {
     if (host.cancelled()) {
       result.cancelled = true;
@@ -259,23 +259,23 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
       if (frame_at(grasp.keyframes.front().time) != frame) continue;
       // Keyframe and release inside one frame: there is nothing to hold.
       if (grasp.release && frame_at(*grasp.release) <= frame) continue;
-      Hold hold{&grasp, Positions(static_cast<Index>(grasp.vertices.size()), 3)};
+      Hold hold{&grasp, Positions(grasp.vertices.size(), 3)};
       for (std::size_t i = 0; i < grasp.vertices.size(); ++i) {
-        hold.origin.row(static_cast<Index>(i)) = simulator->positions().row(grasp.vertices[i]);
+        hold.origin.row(i) = simulator->positions().row(grasp.vertices[i]);
       }
       simulator->grasp(grasp.vertices);
       holds.push_back(std::move(hold));
     }
     // Targets in the simulator's own order of held vertices.
     const std::vector<Index> held = simulator->grasped();
-    Positions targets(static_cast<Index>(held.size()), 3);
+    Positions targets(held.size(), 3);
     const double time = static_cast<double>(frame + 1) * kFrameSeconds;
     for (const Hold& hold : holds) {
       const Vec3 offset = hold.grasp->offset_at(time);
       for (std::size_t i = 0; i < hold.grasp->vertices.size(); ++i) {
         const auto at = std::find(held.begin(), held.end(), hold.grasp->vertices[i]);
         if (at == held.end()) throw Error("the simulator lost vertex " + std::to_string(hold.grasp->vertices[i]));
-        targets.row(at - held.begin()) = hold.origin.row(static_cast<Index>(i)) + offset.transpose();
+        targets.row(at - held.begin()) = hold.origin.row(i) + offset.transpose();
       }
     }
     const auto start = std::chrono::steady_clock::now();

@@ -32,13 +32,12 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {
     manipulation.grasp_vertices.push_back(blaming(place(origin, "manipulation.grasp." + std::to_string(i)),
                                                   [&] { return task.garment->vertex(params.manipulation.grasp[i]); }));
-    manipulation.grasp_points.row(static_cast<Index>(i)) =
-        task.garment->positions.row(manipulation.grasp_vertices.back());
+    manipulation.grasp_points.row(i) = task.garment->positions.row(manipulation.grasp_vertices.back());
   }
   const ConfigNode displacement = place(origin, "manipulation.displacement_m");
   const std::string remedy = "; it gives the direction of the fold, and `weft displacement` tunes its length";
   if (params.manipulation.displacement_m.empty()) must_be(displacement, "a list of 2 numbers, m" + remedy);
-  require_shape("task: displacement", static_cast<Index>(params.manipulation.displacement_m.size()), 2);
+  require_shape("task: displacement", params.manipulation.displacement_m.size(), 2);
   manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
   manipulation.drop_height = params.manipulation.drop_height_m;
   // One path for every fabric: the targets clear the ground under the thickest one.

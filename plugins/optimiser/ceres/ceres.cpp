@@ -85,7 +85,7 @@ struct FreeVariables {
       if (box.lower[i] < box.upper[i]) index.push_back(i);
   }
   Index size() const { return static_cast<Index>(index.size()); }
-  Index operator[](Index k) const { return index[static_cast<std::size_t>(k)]; }
+  Index operator[](Index k) const { return index[k]; }
   std::vector<Index> index;
 };
 

@@ -163,9 +163,9 @@ class Bullet::World {
     for (int e = 0; e < body_->m_links.size(); ++e) {
       btSoftBody::Link& link = body_->m_links[e];
       const double w = link.m_n[0]->m_im + link.m_n[1]->m_im;
-      const double compliance = 1.0 / (laws_[static_cast<std::size_t>(e)].stiffness * dt * dt);
+      const double compliance = 1.0 / (laws_[e].stiffness * dt * dt);
       // Not below w: half a link too stiff for the step would overshoot.
-      link.m_c0 = laws_[static_cast<std::size_t>(e)].strut ? compliance : std::max(compliance + 0.5 * w, w);
+      link.m_c0 = laws_[e].strut ? compliance : std::max(compliance + 0.5 * w, w);
     }
     compliance_is_current_ = true;
   }
@@ -175,7 +175,7 @@ class Bullet::World {
     const double dt = substep_.seconds;
     for (int e = 0; e < body_->m_links.size(); ++e) {
       btSoftBody::Link& link = body_->m_links[e];
-      const LinkLaw& law = laws_[static_cast<std::size_t>(e)];
+      const LinkLaw& law = laws_[e];
       link.m_c3 = link.m_n[1]->m_x - link.m_n[0]->m_x;
       const double rate = law.strut ? 0.0 : damping_ * law.stiffness * dt, w = link.m_n[0]->m_im + link.m_n[1]->m_im;
       link.m_c2 = rate / ((1.0 + rate * w) * std::max(link.m_c3.length2(), 1e-30));
@@ -185,7 +185,7 @@ class Bullet::World {
 
   void substeps() {
     if (!compliance_is_current_) update_compliance();
-    const auto n = static_cast<std::size_t>(body_->m_nodes.size());
+    const std::size_t n = body_->m_nodes.size();
     const double dt = substep_.seconds;
     const btVector3 gain = dt * btVector3(scene_.gravity.x(), scene_.gravity.y(), scene_.gravity.z());
     const double keep = 1.0 / (1.0 + dt * drag_);

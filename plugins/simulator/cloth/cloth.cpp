@@ -147,7 +147,7 @@ void Cloth::advance_frame(const Positions& targets, double drag, Positions& x, P
     if (last_substeps_ > 4 * params_.max_substeps) throw Diverged("no progress");
   }
   for (std::size_t i = 0; i < state_.x.size(); ++i) {
-    const auto row = static_cast<Index>(i);
+    const Index row = i;
     x.row(row) << state_.x[i].x, state_.x[i].y, state_.x[i].z;
     v.row(row) << state_.v[i].x, state_.v[i].y, state_.v[i].z;
   }
@@ -159,7 +159,7 @@ void Cloth::aim(const Positions& targets) {
   target_.resize(held().size());
   for (std::size_t k = 0; k < held().size(); ++k) {
     const Index i = held()[k];
-    const auto row = static_cast<Index>(k);
+    const Index row = k;
     const Double4 s = state_.x[i], t{targets(row, 0), targets(row, 1), targets(row, 2), 0.0};
     start_[k] = s;
     target_[k] = t;
