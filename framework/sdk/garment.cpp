@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "weft/config.hpp"
+#include "weft/hash.hpp"
 
 namespace weft {
 namespace {
@@ -26,7 +27,7 @@ struct Side {
 
 std::vector<Side> sides_of(const Faces& faces) {
   std::vector<Side> sides;
-  sides.reserve(static_cast<std::size_t>(faces.rows()) * 3);
+  sides.reserve(faces.rows() * 3);
   for (Index f = 0; f < faces.rows(); ++f) {
     for (Index k = 0; k < 3; ++k) {
       const int a = faces(f, k);
@@ -113,8 +114,8 @@ void check_manifold(const Mesh& mesh, const std::string& where) {
 
   // A vertex is manifold when its faces form one fan: joining faces that share an edge at the vertex leaves one group.
   // Corner c of face f is node 3 f + c of a union-find forest.
-  std::vector<Index> parent(static_cast<std::size_t>(mesh.faces.rows()) * 3);
-  for (std::size_t i = 0; i < parent.size(); ++i) parent[i] = static_cast<Index>(i);
+  std::vector<Index> parent(mesh.faces.rows() * 3);
+  for (std::size_t i = 0; i < parent.size(); ++i) parent[i] = i;
   const auto root = [&parent](Index i) {
     while (parent[i] != i) {
       parent[i] = parent[parent[i]];
@@ -198,21 +199,8 @@ void check_shape(const Mesh& mesh, const RestPositions& rest, const std::string&
   }
 }
 
-/// FNV-1a, 64 bits (Fowler, Noll, Vo 1991).
-class Fnv {
- public:
-  void add(const void* data, std::size_t size) {
-    const auto* bytes = static_cast<const unsigned char*>(data);
-    for (std::size_t i = 0; i < size; ++i) value_ = (value_ ^ bytes[i]) * 0x100000001b3ULL;
-  }
-  std::uint64_t value() const { return value_; }
-
- private:
-  std::uint64_t value_ = 0xcbf29ce484222325ULL;
-};
-
 std::uint64_t hash_of(const RestPositions& rest, const Faces& faces) {
-  Fnv hash;
+  Fnv1a hash;
   const std::int64_t sizes[2] = {rest.rows(), faces.rows()};
   hash.add(sizes, sizeof sizes);
   for (Index v = 0; v < rest.rows(); ++v) {
@@ -315,7 +303,7 @@ Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_of(const Faces& fac
   sides.erase(std::unique(sides.begin(), sides.end(),
                           [](const Side& l, const Side& r) { return l.first == r.first && l.second == r.second; }),
               sides.end());
-  Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges(static_cast<Index>(sides.size()), 2);
+  Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges(sides.size(), 2);
   for (std::size_t i = 0; i < sides.size(); ++i) edges.row(i) << sides[i].first, sides[i].second;
   return edges;
 }
