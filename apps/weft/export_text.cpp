@@ -161,7 +161,7 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   segments.text("\n");
   for (std::size_t r = 0; r < session.rounds.size(); ++r) {
     const auto& round = session.rounds[r];
-    const double error = mean_distance_mm(session.shape_after(static_cast<Index>(r)), session.goal);
+    const double error = mean_distance_mm(session.shape_after(r), session.goal);
     segments.print("%zu,%.9g,%.9g,%.9g,%.9g,%td", r + 1, error, number_of("predicted_error_mm", r),
                    number_of("plan_seconds", r), number_of("estimate_seconds", r), round.controls.rows());
     for (Index c = 0; c < round.controls.cols(); ++c) segments.print(",%.9g", round.controls(0, c));

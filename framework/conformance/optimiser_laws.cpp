@@ -40,8 +40,7 @@ class Watched final : public Objective {
     if (request.residuals && offered_.residuals == 0) throw Unsupported("conformance: residuals are not offered");
     asked_gradients |= request.gradients;
     asked_residuals |= request.residuals;
-    well_formed &=
-        x.rows() == dim_ && x.cols() == static_cast<Index>(instances.size()) && x.cols() > 0 && x.allFinite();
+    well_formed &= x.rows() == dim_ && x.cols() == std::ssize(instances) && x.cols() > 0 && x.allFinite();
     for (std::size_t i = 0; i < instances.size(); ++i) {
       well_formed &= instances[i] >= 0 && instances[i] < count && (i == 0 || instances[i] >= instances[i - 1]);
     }

@@ -103,8 +103,7 @@ Outcome variables_are_well_formed(const Bench& bench) {
     }
   }
   for_manipulations(*t, [&](const Manipulation& m) {
-    if (t->initial_state(m).size() != static_cast<Index>(t->state().size()))
-      wrong.miss("initial_state() has another size");
+    if (t->initial_state(m).size() != std::ssize(t->state())) wrong.miss("initial_state() has another size");
   });
   return wrong.outcome();
 }

@@ -47,7 +47,7 @@ std::string read_whole(const std::filesystem::path& path) {
                       std::to_string(kMaxFileBytes));
   }
   std::ifstream in(path, std::ios::binary);
-  std::string text(static_cast<std::size_t>(size), '\0');
+  std::string text(size, '\0');
   if (!in || !in.read(text.data(), static_cast<std::streamsize>(size))) {
     throw ConfigError(path.string() + ": cannot be read");
   }
@@ -161,8 +161,7 @@ struct Reader {
           const std::string_view vt = tail.substr(0, second);
           if (!vt.empty()) textures[count] = index(vt, texture.size(), what + " (vt)", word);
           if (second != std::string_view::npos && !tail.substr(second + 1).empty()) {
-            index(tail.substr(second + 1), static_cast<std::size_t>(std::numeric_limits<int>::max()), what + " (vn)",
-                  word);
+            index(tail.substr(second + 1), std::numeric_limits<int>::max(), what + " (vn)", word);
           }
         }
       }

@@ -3,7 +3,7 @@
 namespace weft {
 namespace {
 
-Index count(const std::vector<Variable>& variables) { return static_cast<Index>(variables.size()); }
+Index count(const std::vector<Variable>& variables) { return variables.size(); }
 
 /// A field of the controls, repeated to `size` entries.
 Vector repeated(const std::vector<Variable>& controls, double Variable::*field, Index size) {

@@ -33,7 +33,7 @@ Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Ind
   if (!node.is_sequence() || node.size() == 0)
     must_be(node, "a list of rows of " + std::to_string(columns) + " numbers");
   const auto read_row = [&](const ConfigNode& row) {
-    if (static_cast<Index>(row.size()) != columns) {
+    if (std::ssize(row) != columns) {
       row.fail("has " + std::to_string(row.size()) + " numbers, must have " + std::to_string(columns));
     }
     Vector values(columns);

@@ -60,10 +60,10 @@ std::unique_ptr<Prediction> predict_in_rows(const Predictor& predictor, const st
   const std::size_t each = *std::max_element(ordinal.begin(), ordinal.end()) + 1;
   PredictionCase padding = cases.front();
   padding.segments.clear();
-  std::vector<PredictionCase> batch(each * static_cast<std::size_t>(count), padding);
+  std::vector<PredictionCase> batch(each * count, padding);
   std::vector<std::size_t> rows;
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    rows.push_back(each * static_cast<std::size_t>(instances[i]) + ordinal[i]);
+    rows.push_back(each * instances[i] + ordinal[i]);
     batch[rows.back()] = cases[i];
   }
   auto all = predictor.predict(batch, request);

@@ -79,35 +79,33 @@ class PlanningObjective final : public Objective {
     std::vector<std::vector<ShapeCotangent>> cotangents(n);
     std::vector<Controls> d_activity(n);
     for (Index i = 0; i < n; ++i) {
-      const std::size_t at = i;
-      cotangents[at].resize(1);
-      if (!prediction->failure(at).empty()) {
+      cotangents[i].resize(1);
+      if (!prediction->failure(i).empty()) {
         result.costs(i) = std::numeric_limits<double>::infinity();
         continue;
       }
       // Row v is weighted by the vertex's weight, once for the loss and once for its gradient.
-      const auto& shape = prediction->shapes()[at].front();
+      const auto& shape = prediction->shapes()[i].front();
       const Positions difference = shape.mean - *request_.goal;
       const Positions weighted = weights_.asDiagonal() * difference;
       const double weight = kSquareMm / static_cast<double>(difference.size());
-      const Index u = cases[at].segments.front();
-      const double activity = activity_loss(task_, request_.state, cases[at].controls, u, params_.slowness_weight,
-                                            wanted.gradients ? &d_activity[at] : nullptr);
+      const Index u = cases[i].segments.front();
+      const double activity = activity_loss(task_, request_.state, cases[i].controls, u, params_.slowness_weight,
+                                            wanted.gradients ? &d_activity[i] : nullptr);
       result.costs(i) = weight * weighted.cwiseProduct(difference).sum() + params_.activity_weight * activity;
-      if (wanted.gradients) cotangents[at].front().mean = 2.0 * weight * weighted;
+      if (wanted.gradients) cotangents[i].front().mean = 2.0 * weight * weighted;
       if (moments_ == Moments::mean) continue;
       // E |x - s*|^2 = |mu - s*|^2 + sigma^2
       const Positions weighted_sigma = weights_.asDiagonal() * shape.sigma;
       result.costs(i) += weight * weighted_sigma.cwiseProduct(shape.sigma).sum();
-      if (wanted.gradients) cotangents[at].front().sigma = 2.0 * weight * weighted_sigma;
+      if (wanted.gradients) cotangents[i].front().sigma = 2.0 * weight * weighted_sigma;
     }
     if (wanted.gradients) {
       const auto gradients = prediction->pullback(cotangents);
       result.gradients = Matrix::Zero(dim(), n);
       for (Index i = 0; i < n; ++i) {
-        const std::size_t at = i;
         if (!std::isfinite(result.costs(i))) continue;
-        Controls total = gradients[at].controls + params_.activity_weight * d_activity[at];
+        Controls total = gradients[i].controls + params_.activity_weight * d_activity[i];
         limit_gradient(x.col(i), total);
         result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
       }
@@ -166,11 +164,10 @@ class PlanningObjective final : public Objective {
     std::vector<std::vector<CaseDirection>> directions(n);
     std::vector<std::vector<Index>> variables(directions.size());  // of x, one per direction
     for (Index i = 0; i < n; ++i) {
-      const std::size_t at = i;
       if (!std::isfinite(result.costs(i))) continue;
-      const auto& one = cases[at];
+      const auto& one = cases[i];
       const Index u = one.segments.front();
-      const auto& shape = prediction.shapes()[at].front();
+      const auto& shape = prediction.shapes()[i].front();
       const Positions difference = shape.mean - *request_.goal;
       result.residuals.col(i).head(coordinates) = shape_weight.cwiseProduct(flat(difference));
       if (moments_ != Moments::mean)
@@ -194,14 +191,14 @@ class PlanningObjective final : public Objective {
         decode.row(k) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, unit).transpose();
         unit.data()[k] = 0.0;
       }
-      result.jacobians[at].bottomRows(activity.size()) = activity_weight * d_activity.leftCols(decode.rows()) * decode;
+      result.jacobians[i].bottomRows(activity.size()) = activity_weight * d_activity.leftCols(decode.rows()) * decode;
       for (Index k = 0; k < columns; ++k) {
         if (decode.col(k).isZero(0.0)) continue;
         CaseDirection direction;
         direction.controls = Controls::Zero(one.controls.rows(), controls);
         Eigen::Map<Vector>(direction.controls.data(), decode.rows()) = decode.col(k);
-        directions[at].push_back(std::move(direction));
-        variables[at].push_back(k);
+        directions[i].push_back(std::move(direction));
+        variables[i].push_back(k);
       }
     }
     if (!with_jacobians) return;
@@ -383,8 +380,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   options.seed = RandomStream(request.seed, stream_key("opti"), static_cast<std::uint64_t>(request.round)).bits64();
   const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
   if (params_.max_evaluations > 0) options.max_evaluations = params_.max_evaluations;
-  const Index replayed =
-      is_replay ? static_cast<Index>(params_.replay_iterations[static_cast<std::size_t>(request.round)]) : 0;
+  const Index replayed = is_replay ? static_cast<Index>(params_.replay_iterations[request.round]) : 0;
   const auto observer = [&](Index iteration, const Vector& best) {
     plan.iterations = iteration;
     plan.curves.emplace_back(best.data(), best.data() + best.size());
@@ -400,7 +396,7 @@ Plan Planner::plan(const PlanRequest& request) const {
     plan.losses.push_back(results[i].cost);
     if (results[i].cost < plan.loss) {
       plan.loss = results[i].cost;
-      plan.instance = static_cast<Index>(i);
+      plan.instance = i;
     }
   }
   if (!std::isfinite(plan.loss)) throw Error("planning: no instance reached a finite loss: " + results.front().message);

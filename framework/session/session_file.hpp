@@ -42,10 +42,10 @@ struct SessionRecord {
   std::vector<MaterialKnowledge> estimates;  ///< [segments] after each of them; empty when nothing was estimated
 
   Index vertex_count() const { return start.rows(); }
-  Index segments() const { return static_cast<Index>(rounds.size()); }
+  Index segments() const { return rounds.size(); }
   /// Frame at which segment j = 0, 1, ... begins; segments(): at which the hands let go.
   Index segment_frame(Index j) const { return j * kFramesPerSegment; }
-  Index settle_frames() const { return static_cast<Index>(frames.size()) - 1 - segment_frame(segments()); }
+  Index settle_frames() const { return std::ssize(frames) - 1 - segment_frame(segments()); }
   bool released() const { return settle_frames() > 0; }
   /// [V, 3] m, what the cloth was after segment j = 0, 1, ...; settled if it was the last.
   const Positions& shape_after(Index j) const {

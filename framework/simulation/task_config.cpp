@@ -20,11 +20,11 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   task.trajectory = host.create<Trajectory>(params.trajectory);
   task.simulator = params.simulator;
   task.settle = {params.settle.speed_m_per_s, params.settle.hold_frames, params.settle.max_frames};
-  require_shape("task: gravity", static_cast<Index>(params.scene.gravity_m_per_s2.size()), 3);
+  require_shape("task: gravity", params.scene.gravity_m_per_s2.size(), 3);
   task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
 
   auto& manipulation = task.manipulation;
-  if (static_cast<Index>(params.manipulation.grasp.size()) != task.trajectory->hands()) {
+  if (std::ssize(params.manipulation.grasp) != task.trajectory->hands()) {
     const auto hands = std::to_string(task.trajectory->hands());
     must_be(place(origin, "manipulation.grasp"), hands + " named vertices: the trajectory drives " + hands + " hands");
   }

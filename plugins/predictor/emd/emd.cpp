@@ -123,7 +123,7 @@ class EmdPrediction final : public PlainPrediction {
     const Index blocks = std::max((count + kMostRows - 1) / kMostRows, std::min(threads, (count + 3) / 4));
     // Block b takes every blocks-th case: blocks of like length.
     std::vector<std::vector<std::size_t>> rows(blocks);
-    for (std::size_t i = 0; i < order.size(); ++i) rows[i % static_cast<std::size_t>(blocks)].push_back(order[i]);
+    for (std::size_t i = 0; i < order.size(); ++i) rows[i % blocks].push_back(order[i]);
     for (auto& part_rows : rows) {
       Index wanted = 0;
       parts_.emplace_back();
@@ -142,7 +142,7 @@ class EmdPrediction final : public PlainPrediction {
   void run(const std::vector<PredictionCase>& cases, Part& part) {
     const Index n = dim().coordinates(), u = dim().inputs();
     auto& block = part.block;
-    block.rows = static_cast<Index>(part.cases.size());
+    block.rows = part.cases.size();
     block.shape.resize(block.rows * n);
     block.change.assign(block.rows * n, 0.0f);
     for (Index r = 0; r < block.rows; ++r) {
@@ -168,7 +168,7 @@ class EmdPrediction final : public PlainPrediction {
       for (Index r = 0; r < running; ++r, to += u) input(part, r).write(model(), j, to);
     }
     const bool has_sigma = request_.moments == Moments::mean_and_sigma;
-    const std::size_t count = block.wanted.size() * static_cast<std::size_t>(n);
+    const std::size_t count = block.wanted.size() * n;
     std::vector<float> mean(count), sigma(has_sigma ? count : 0);
     bound_->network->forward(block, part.tape, mean.data(), has_sigma ? sigma.data() : nullptr);
     for (std::size_t w = 0; w < block.wanted.size(); ++w) {
@@ -177,11 +177,11 @@ class EmdPrediction final : public PlainPrediction {
       auto& shape = shapes_[i][s];
       shape.mean.resize(dim().vertices, 3);
       shape.sigma.resize(has_sigma ? dim().vertices : 0, 3);
-      const float* m = mean.data() + w * static_cast<std::size_t>(n);
+      const float* m = mean.data() + w * n;
       const Model::SigmaCalibration calibrated = calibration(i, block.wanted[w].step);
       for (Index c = 0; c < n; ++c) shape.mean.data()[c] = static_cast<double>((m[c] + model().mean[c]) * kLength);
       if (has_sigma) {
-        const float* d = sigma.data() + w * static_cast<std::size_t>(n);
+        const float* d = sigma.data() + w * n;
         for (Index c = 0; c < n; ++c) shape.sigma.data()[c] = calibrated(static_cast<double>(d[c] * kLength));
       }
       if (!shape.mean.allFinite() || !shape.sigma.allFinite()) {
@@ -202,13 +202,13 @@ class EmdPrediction final : public PlainPrediction {
                 std::vector<CaseGradient>& gradients) const {
     const auto& block = part.block;
     const Index n = dim().coordinates(), u = dim().inputs();
-    const std::size_t count = block.wanted.size() * static_cast<std::size_t>(n);
+    const std::size_t count = block.wanted.size() * n;
     std::vector<float> d_mean(count, 0.0f), d_sigma;
     for (std::size_t w = 0; w < block.wanted.size(); ++w) {
       const auto [i, s] = part.places[w];
       if (!failures_[i].empty()) continue;
       const auto& cotangent = cotangents[i][s];
-      float* m = d_mean.data() + w * static_cast<std::size_t>(n);
+      float* m = d_mean.data() + w * n;
       if (cotangent.mean.rows() > 0) {
         for (Index c = 0; c < n; ++c) m[c] = static_cast<float>(cotangent.mean.data()[c]) * kLength;
       }
@@ -216,7 +216,7 @@ class EmdPrediction final : public PlainPrediction {
         if (d_sigma.empty()) d_sigma.assign(count, 0.0f);
         const Model::SigmaCalibration calibrated = calibration(i, block.wanted[w].step);
         const double* sigma = shapes_[i][s].sigma.data();
-        float* d = d_sigma.data() + w * static_cast<std::size_t>(n);
+        float* d = d_sigma.data() + w * n;
         double d_width = 0.0;
         for (Index c = 0; c < n; ++c) {
           const double one = cotangent.sigma.data()[c];
@@ -267,11 +267,11 @@ class EmdPrediction final : public PlainPrediction {
       for (std::size_t t = 0; t < rows.size() && rows[t] < part.tape.running[j]; ++t)
         flat.insert(flat.end(), inputs[t][j].begin(), inputs[t][j].end());
     }
-    flat.resize(std::max<std::size_t>(flat.size(), static_cast<std::size_t>(u)));
+    flat.resize(std::max<std::size_t>(flat.size(), u));
     std::size_t shapes = 0;
     for (const Index r : rows) shapes += segments_[part.cases[r]].size();
     const bool has_sigma = request_.moments == Moments::mean_and_sigma;
-    std::vector<float> d_mean(shapes * static_cast<std::size_t>(n)), d_sigma(has_sigma ? d_mean.size() : 0);
+    std::vector<float> d_mean(shapes * n), d_sigma(has_sigma ? d_mean.size() : 0);
     bound_->network->jvp(block, part.tape, rows, flat.data(), d_mean.data(), has_sigma ? d_sigma.data() : nullptr);
     std::size_t at = 0;
     std::vector<std::size_t> next(directions.size(), 0);
@@ -285,16 +285,13 @@ class EmdPrediction final : public PlainPrediction {
         one.sigma.resize(has_sigma ? dim().vertices : 0, 3);
         const Model::SigmaCalibration calibrated = calibration(i, segments_[i][s]);
         const double* sigma = shapes_[i].empty() ? nullptr : shapes_[i][s].sigma.data();
-        for (Index c = 0; c < n; ++c)
-          one.mean.data()[c] = static_cast<double>(d_mean[at + static_cast<std::size_t>(c)] * kLength);
+        for (Index c = 0; c < n; ++c) one.mean.data()[c] = static_cast<double>(d_mean[at + c] * kLength);
         for (Index c = 0; c < one.sigma.size(); ++c) {
-          one.sigma.data()[c] = sigma
-                                    ? calibrated.by_sigma(sigma[c]) *
-                                              static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * kLength) +
-                                          calibrated.by_width(sigma[c]) * d_width
-                                    : 0.0;  // the case has failed
+          one.sigma.data()[c] = sigma ? calibrated.by_sigma(sigma[c]) * static_cast<double>(d_sigma[at + c] * kLength) +
+                                            calibrated.by_width(sigma[c]) * d_width
+                                      : 0.0;  // the case has failed
         }
-        at += static_cast<std::size_t>(n);
+        at += n;
         result.push_back(std::move(one));
       }
     }
@@ -343,9 +340,7 @@ void EmdPredictor::bind(const Task& task) {
 
 std::optional<Box> EmdPredictor::control_range() const {
   if (!bound_) throw Error("emd: control_range() before bind()");
-  const auto vector = [](const std::vector<double>& v) {
-    return Vector(Eigen::Map<const Vector>(v.data(), static_cast<Index>(v.size())));
-  };
+  const auto vector = [](const std::vector<double>& v) { return Vector(Eigen::Map<const Vector>(v.data(), v.size())); };
   return Box{vector(bound_->model->control_low), vector(bound_->model->control_high)};
 }
 

@@ -36,8 +36,7 @@ void CaseInputs::write(const Model& model, Index j, float* to) const {
   write_inputs(dim_, controls_.row(j).data(), states_.row(j).data(), states_.row(j + 1).data(), targets_.row(j).data(),
                targets_.row(j + 1).data(), released_[j], knowledge_.centre, knowledge_.width, raw);
   for (Index i = 0; i < dim_.inputs(); ++i) {
-    const std::size_t at = i;
-    to[i] = static_cast<float>((raw[i] - model.input_mean[at]) / model.input_sd[at]);
+    to[i] = static_cast<float>((raw[i] - model.input_mean[i]) / model.input_sd[i]);
   }
 }
 

@@ -6,7 +6,7 @@
 namespace weft::emd {
 namespace {
 
-std::size_t size_of(Index rows, Index columns) { return static_cast<std::size_t>(rows * columns); }
+std::size_t size_of(Index rows, Index columns) { return rows * columns; }
 
 void add(float* to, const float* from, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) to[i] += from[i];
@@ -54,7 +54,7 @@ Network::Network(const Model& model, const Kernels& kernels)
 
 Network::Packed Network::pack(const float* data, Index k, Index n) const {
   Packed p{k, n, {}, {}};
-  const auto rows = static_cast<std::size_t>(k), columns = static_cast<std::size_t>(n);
+  const std::size_t rows = k, columns = n;
   p.forward.resize(kernels_.packed_size(rows, columns));
   p.backward.resize(kernels_.packed_size(columns, rows));
   kernels_.pack(rows, columns, data, columns, 1, p.forward.data());
@@ -68,14 +68,11 @@ Network::Packed Network::pack(int weight) const {
 
 void Network::times(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc, const float* start,
                     bool accumulate) const {
-  kernels_.gemm(static_cast<std::size_t>(m), static_cast<std::size_t>(b.k), static_cast<std::size_t>(b.n), a,
-                static_cast<std::size_t>(lda), b.forward.data(), c, static_cast<std::size_t>(ldc), start, accumulate);
+  kernels_.gemm(m, b.k, b.n, a, lda, b.forward.data(), c, ldc, start, accumulate);
 }
 void Network::times_transposed(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc,
                                bool accumulate) const {
-  kernels_.gemm(static_cast<std::size_t>(m), static_cast<std::size_t>(b.n), static_cast<std::size_t>(b.k), a,
-                static_cast<std::size_t>(lda), b.backward.data(), c, static_cast<std::size_t>(ldc), nullptr,
-                accumulate);
+  kernels_.gemm(m, b.n, b.k, a, lda, b.backward.data(), c, ldc, nullptr, accumulate);
 }
 
 void Network::normalise(Index rows, float* z, std::vector<float>& factor) const {
@@ -112,8 +109,8 @@ void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma)
     tape.running.push_back(block.running(j));
     tape.offset.push_back(tape.offset.back() + tape.running.back());
   }
-  tape.z.resize(static_cast<std::size_t>(most) + 1);
-  tape.norm.resize(static_cast<std::size_t>(most) + 1);
+  tape.z.resize(most + 1);
+  tape.norm.resize(most + 1);
   encode(block, tape);
   advance(block, tape);
   decode(block, tape, mean, sigma);
@@ -173,8 +170,7 @@ void Network::advance(const Block& block, Tape& tape) const {
       float* post = tape.post[l].data() + first;
       times(layer_h_[l], m, below, below_size, pre, hidden, nullptr, true);
       kernels_.activate(count, pre, post, tanh());
-      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0)
-        add(post, tape.post[skip].data() + first, count);
+      if (const Index skip = skip_of(l); skip >= 0) add(post, tape.post[skip].data() + first, count);
       below = post;
       below_size = hidden;
     }
@@ -295,7 +291,7 @@ void Network::advance_pullback(const Block& block, const Tape& tape, std::vector
     times_transposed(out_h_, m, g, z_, d_pre[layers - 1].data() + first, hidden, true);
     for (std::size_t l = layers; l-- > 0;) {
       float* d = d_pre[l].data() + first;  // so far: the cotangent of the layer's output
-      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0) add(d_pre[skip].data() + first, d, count);
+      if (const Index skip = skip_of(l); skip >= 0) add(d_pre[skip].data() + first, d, count);
       kernels_.activate_pullback(count, tape.pre[l].data() + first, d, tanh());
       if (l > 0) {
         times_transposed(layer_h_[l], m, d, hidden, d_pre[l - 1].data() + first, hidden, true);
@@ -360,7 +356,7 @@ void Network::jvp(const Block& block, const Tape& tape, const std::vector<Index>
                     slope.data() + size_of(t, hidden));
       }
       kernels_.activate_pullback(count, slope.data(), d, tanh());
-      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0) add(d, post[skip].data(), count);
+      if (const Index skip = skip_of(l); skip >= 0) add(d, post[skip].data(), count);
       below = d;
       below_size = hidden;
     }

@@ -71,15 +71,14 @@ class RolloutPrediction final : public PlainPrediction {
         owner_(owner),
         cases_(cases),
         request_(request),
-        samples_(static_cast<std::size_t>(owner.params_.samples)) {
+        samples_(owner.params_.samples) {
     runs_.resize(cases_.size() * samples_);
     std::vector<std::string> errors(runs_.size());
     owner_.host_.parallel_for(static_cast<std::int64_t>(runs_.size()), [&](std::int64_t job) {
-      const std::size_t at = job;
       try {
-        simulate(cases_[at / samples_], static_cast<Index>(at % samples_), runs_[at]);
+        simulate(cases_[job / samples_], job % samples_, runs_[job]);
       } catch (const Diverged& error) {
-        errors[at] = error.what();
+        errors[job] = error.what();
       }
     });
     early_.resize(cases_.size());
@@ -341,7 +340,7 @@ class RolloutPrediction final : public PlainPrediction {
     const Lease lease(owner_);
     for (std::size_t s = 0; s < samples_; ++s) {
       const Run& run = runs_[i * samples_ + s];
-      const auto material = same_material ? run.material : owner_.material(knowledge, static_cast<Index>(s));
+      const auto material = same_material ? run.material : owner_.material(knowledge, s);
       owner_.start(*lease, one, material);
       Vector state = one.state;
       Index first = 0;

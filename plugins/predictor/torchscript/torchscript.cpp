@@ -360,8 +360,7 @@ void load_module(TorchScriptPredictor::Bound& bound) {
   const auto zeros = [](std::vector<std::int64_t> sizes) {
     return at::zeros(sizes, at::TensorOptions().dtype(at::kFloat));
   };
-  const auto v = bound.task.garment->vertex_count(), s = static_cast<Index>(m.states.size()),
-             c = static_cast<Index>(m.controls.size());
+  const Index v = bound.task.garment->vertex_count(), s = m.states.size(), c = m.controls.size();
   const Index k = std::min<Index>(2, m.max_segments);
   std::vector<Tensor> inputs = {zeros({2, v, 3}), zeros({2, k + 1, s}), zeros({2, k, c}), zeros({2, 8})};
   if (m.previous) inputs.push_back(zeros({2, v, 3}));

@@ -195,7 +195,7 @@ class Bullet::World {
     for (Index s = 1; s <= substeps_; ++s) {
       if (damping_ > 0.0) damp();
       for (std::size_t i = 0; i < n; ++i) {
-        auto& node_i = node(static_cast<Index>(i));
+        auto& node_i = node(i);
         node_i.m_q = node_i.m_x;
         if (node_i.m_im == 0.0) continue;
         node_i.m_v = keep * (node_i.m_v + gain);
@@ -203,18 +203,18 @@ class Bullet::World {
       }
       const double part = static_cast<double>(s) / static_cast<double>(substeps_);
       for (std::size_t k = 0; k < held_->size(); ++k) {
-        const btVector3 target = vector(*targets_, static_cast<Index>(k));
+        const btVector3 target = vector(*targets_, k);
         node((*held_)[k]).m_x = s == substeps_ ? target : begin_[k] + part * (target - begin_[k]);
       }
       btSoftBody::PSolve_Links(body_, 1.0, 0.0);
       for (std::size_t i = 0; i < n; ++i) {
-        substep_.start[i] = vector(node(static_cast<Index>(i)).m_q);
-        substep_.end[i] = vector(node(static_cast<Index>(i)).m_x);
+        substep_.start[i] = vector(node(i).m_q);
+        substep_.end[i] = vector(node(i).m_x);
       }
       contact_.resolve(substep_, passes_);
       double sum = 0.0;
       for (std::size_t i = 0; i < n; ++i) {
-        auto& node_i = node(static_cast<Index>(i));
+        auto& node_i = node(i);
         if (node_i.m_im != 0.0) {
           node_i.m_x = vector(substep_.end[i]);
           node_i.m_v = (node_i.m_x - node_i.m_q) / dt;
@@ -224,7 +224,7 @@ class Bullet::World {
       if (!(sum < kAbsurdSpeed * kAbsurdSpeed)) return;  // advance_frame() finds it
     }
     for (std::size_t k = 0; k < held_->size(); ++k)
-      node((*held_)[k]).m_v = (vector(*targets_, static_cast<Index>(k)) - begin_[k]) / kFrameSeconds;
+      node((*held_)[k]).m_v = (vector(*targets_, k) - begin_[k]) / kFrameSeconds;
   }
 
   btSoftBodyRigidBodyCollisionConfiguration configuration_;

@@ -308,11 +308,11 @@ void SelfContact::make_contacts(const Substep& substep) {
     };
     const Eigen::ArrayXd way = sizes(moved), range = sizes(predicted);
     for (Index k = 0; k < n; ++k) {
-      const std::size_t at = first + static_cast<std::size_t>(k);
+      const std::size_t at = first + k;
       travelled_[at] += way[k];
       if (!(travelled_[at] + kLookAhead * range[k] + kSlack < alarm_[at])) add_contacts(at, range[k], substep);
     }
-    first += static_cast<std::size_t>(n);
+    first += n;
   }
   order_.clear();
   for (std::size_t k = 0; k < found_.size(); ++k) order_.emplace_back(found_[k].pair->order, k);

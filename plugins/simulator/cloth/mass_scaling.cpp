@@ -78,7 +78,7 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
     return std::pair(a.row, a.column) < std::pair(b.row, b.column);
   });
   std::vector<double> value;
-  std::vector<std::int32_t> start(static_cast<std::size_t>(topology.vertices) + 1, 0), column;
+  std::vector<std::int32_t> start(topology.vertices + 1, 0), column;
   for (std::size_t k = 0; k < entries.size(); ++k) {
     if (k > 0 && entries[k].row == entries[k - 1].row && entries[k].column == entries[k - 1].column) {
       value.back() += entries[k].value;
@@ -86,7 +86,7 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
     }
     column.push_back(entries[k].column);
     value.push_back(entries[k].value);
-    start[static_cast<std::size_t>(entries[k].row) + 1] = static_cast<std::int32_t>(column.size());
+    start[entries[k].row + 1] = static_cast<std::int32_t>(column.size());
   }
   for (std::size_t i = 1; i < start.size(); ++i) start[i] = std::max(start[i], start[i - 1]);
 

@@ -40,7 +40,7 @@ struct Spline::Place {
 Spline::Spline(const Params& params, Host& host)
     : geometry_(host.create<Trajectory>(params.geometry)),
       points_(params.control_points),
-      columns_(static_cast<Index>(geometry_->controls().size())),
+      columns_(geometry_->controls().size()),
       by_progress_(params.over == "progress") {}
 
 Spline::Place Spline::place(double t) const {
