@@ -62,7 +62,7 @@ std::string identifier(const std::string& name) {
 
 Timeline every_nth(const SessionRecord& session, std::size_t n) {
   const std::size_t last = session.frames.size() - 1;
-  const auto release = static_cast<std::size_t>(session.segment_frame(session.segments()));
+  const std::size_t release = session.segment_frame(session.segments());
   Timeline timeline;
   for (std::size_t frame = 0; frame <= last; ++frame) {
     if (frame % n != 0 && frame != release && frame != last) continue;
@@ -145,7 +145,7 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   };
   const auto names = [&](const char* kind, Index count) {
     for (Index c = 0; c < count; ++c) {
-      const auto i = static_cast<std::size_t>(c);
+      const std::size_t i = c;
       const bool named = trajectory.is_object() && trajectory.contains(kind) && i < trajectory[kind].size();
       segments.text("," +
                     (named ? trajectory[kind][i]["name"].get<std::string>() : std::string(kind) + std::to_string(c)));
@@ -160,7 +160,7 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   segments.text("\n");
   for (std::size_t r = 0; r < session.rounds.size(); ++r) {
     const auto& round = session.rounds[r];
-    const double error = mean_distance_mm(session.shape_after(static_cast<Index>(r)), session.goal);
+    const double error = mean_distance_mm(session.shape_after(r), session.goal);
     segments.print("%zu,%.9g,%.9g,%.9g,%.9g,%td", r + 1, error, number_of("predicted_error_mm", r),
                    number_of("plan_seconds", r), number_of("estimate_seconds", r), round.controls.rows());
     for (Index c = 0; c < round.controls.cols(); ++c) segments.print(",%.9g", round.controls(0, c));

@@ -84,8 +84,8 @@ struct FreeVariables {
     for (Index i = 0; i < box.dim(); ++i)
       if (box.lower[i] < box.upper[i]) index.push_back(i);
   }
-  Index size() const { return static_cast<Index>(index.size()); }
-  Index operator[](Index k) const { return index[static_cast<std::size_t>(k)]; }
+  Index size() const { return index.size(); }
+  Index operator[](Index k) const { return index[k]; }
   std::vector<Index> index;
 };
 

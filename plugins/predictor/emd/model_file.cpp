@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "weft/hash.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft::emd {
@@ -14,23 +15,10 @@ constexpr const char* kSchema2 = "weft emd model 2";  // without /calibration_da
 constexpr const char* kSchema1 = "weft emd model 1";  // without those two and /datasets, and with checksum_1
 constexpr Index kMostDatasets = 1000;
 
-/// 64-bit FNV-1a over bytes.
-class Hash {
- public:
-  void add(const void* data, std::size_t size) {
-    const auto* bytes = static_cast<const unsigned char*>(data);
-    for (std::size_t i = 0; i < size; ++i) value_ = (value_ ^ bytes[i]) * 0x100000001b3ull;
-  }
-  std::string text() const { return std::to_string(value_); }
-
- private:
-  std::uint64_t value_ = 0xcbf29ce484222325ull;
-};
-
-/// Checksum of the whole content of a file.
+/// Checksum of everything that a file holds.
 /// @param architecture the text in the file: a later version may word the same architecture differently.
 std::string checksum(const Model& m, const std::string& architecture) {
-  Hash hash;
+  Fnv1a hash;
   const auto add = [&](const auto&... all) {
     const auto one = [&](const auto& v) {
       const std::uint64_t size = v.size();
@@ -57,15 +45,15 @@ std::string checksum(const Model& m, const std::string& architecture) {
   add_datasets(m.datasets);
   if (!m.calibrated.empty()) add(std::string("calibrated"));  // marks where the other list begins
   add_datasets(m.calibrated);
-  return hash.text();
+  return std::to_string(hash.value());
 }
 /// The checksum of kSchema1, which covers the network alone.
 std::string checksum_1(const Model& m) {
-  Hash hash;
+  Fnv1a hash;
   for (const auto* v : {&m.weights, &m.mean, &m.basis, &m.scale, &m.input_mean, &m.input_sd, &m.calibration}) {
     hash.add(v->data(), v->size() * sizeof(float));
   }
-  return hash.text();
+  return std::to_string(hash.value());
 }
 
 /// The values as a mapping that read_params reads back.
@@ -313,7 +301,7 @@ class ModelReader {
   }
   std::vector<double> numbers(const std::string& name, Index count) const {
     auto values = file_.read(name, 4096);
-    if (static_cast<Index>(values.size()) != count) refuse(name + " must have " + std::to_string(count) + " entries");
+    if (std::ssize(values) != count) refuse(name + " must have " + std::to_string(count) + " entries");
     require_finite(name, values);
     return values;
   }
@@ -332,7 +320,7 @@ class ModelReader {
         all.back().push_back(c);
       }
     }
-    if (static_cast<Index>(all.size()) != count) refuse(name + " must have " + std::to_string(count) + " words");
+    if (std::ssize(all) != count) refuse(name + " must have " + std::to_string(count) + " words");
     return all;
   }
   std::uint64_t integer(const std::string& name, const std::string& text) const {

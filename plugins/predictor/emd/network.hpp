@@ -23,7 +23,7 @@ struct Block {
   /// Rows that have a segment `step` (from 0).
   Index running(Index step) const {
     Index count = 0;
-    while (count < rows && steps[static_cast<std::size_t>(count)] > step) ++count;
+    while (count < rows && steps[count] > step) ++count;
     return count;
   }
   Index total() const { return std::accumulate(steps.begin(), steps.end(), Index{0}); }
@@ -82,9 +82,7 @@ class Network {
   };
   Packed pack(const float* data, Index k, Index n) const;
   Packed pack(int weight) const;
-  const float* bias(int weight) const {
-    return weights_.data() + layout_.weights[static_cast<std::size_t>(weight)].offset;
-  }
+  const float* bias(int weight) const { return weights_.data() + layout_.weights[weight].offset; }
   /// C [m, n] (+)= A [m, k] B.
   void times(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc, const float* start,
              bool accumulate) const;

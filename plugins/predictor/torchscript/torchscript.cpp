@@ -115,16 +115,14 @@ class TorchPrediction final : public PlainPrediction {
 
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
     if (!request_.gradients) throw Unsupported("torchscript: pullback needs a prediction made with gradients");
-    require_shape("torchscript: cotangent cases", static_cast<Index>(cotangents.size()),
-                  static_cast<Index>(shapes_.size()));
+    require_shape("torchscript: cotangent cases", cotangents.size(), shapes_.size());
     const Index v = bound_->task.garment->vertex_count();
     std::vector<CaseGradient> gradients(shapes_.size());
     for (std::size_t i = 0; i < gradients.size(); ++i) {
       gradients[i].controls = Controls::Zero(controls_[i].rows(), controls_[i].cols());
       gradients[i].state = Vector::Zero(start_[i].size());
       if (request_.shape_gradients) gradients[i].shape = Positions::Zero(v, 3);
-      require_shape("torchscript: cotangents of a case", static_cast<Index>(cotangents[i].size()),
-                    static_cast<Index>(segments_[i].size()));
+      require_shape("torchscript: cotangents of a case", cotangents[i].size(), segments_[i].size());
       for (const auto& c : cotangents[i]) {
         for (const auto* p : {&c.mean, &c.sigma})
           if (p->rows() > 0) require_shape("torchscript: cotangent rows", p->rows(), v);
@@ -161,7 +159,7 @@ class TorchPrediction final : public PlainPrediction {
     std::vector<std::size_t> held(group.rows, group.cases.front());
     for (const std::size_t i : group.cases) held[group.row(i)] = i;
     for (std::int64_t r = 0; r < b; ++r) {
-      const auto& one = cases[held[static_cast<std::size_t>(r)]];
+      const auto& one = cases[held[r]];
       fill(shape, r, one.shape->data(), one.shape->size());
       fill(previous, r, (one.previous ? one.previous : one.shape)->data(), one.shape->size());
       const Controls used = one.controls.topRows(k);
@@ -186,7 +184,7 @@ class TorchPrediction final : public PlainPrediction {
     }
     const Tensor mean = group.output.mean.detach().contiguous(), sigma = group.output.sigma.detach().contiguous();
     for (const std::size_t i : group.cases) {
-      const auto r = static_cast<Index>(group.row(i));
+      const Index r = group.row(i);
       for (const Index segment : segments_[i]) {
         const auto read = [&](const Tensor& t) {
           Positions p(v, 3);
@@ -243,8 +241,7 @@ class TorchPrediction final : public PlainPrediction {
       if (group.inputs[input].requires_grad()) of_input[input] = grads[next++];
     const auto row = [&](std::size_t input, std::size_t r) -> std::vector<double> {
       if (input >= of_input.size() || !group.inputs[input].requires_grad()) return {};
-      if (!of_input[input].defined())
-        return std::vector<double>(static_cast<std::size_t>(group.inputs[input][0].numel()), 0.0);
+      if (!of_input[input].defined()) return std::vector<double>(group.inputs[input][0].numel(), 0.0);
       const Tensor t = of_input[input][static_cast<std::int64_t>(r)].to(at::kDouble).contiguous();
       return {t.data_ptr<double>(), t.data_ptr<double>() + t.numel()};
     };
@@ -255,13 +252,13 @@ class TorchPrediction final : public PlainPrediction {
       const auto d_shape = row(0, r), d_states = row(1, r), d_controls = row(2, r), d_knowledge = row(3, r),
                  d_previous = row(4, r);
       for (Index x = 0; x < g.shape.size(); ++x) {
-        g.shape.data()[x] = d_shape[static_cast<std::size_t>(x)];
+        g.shape.data()[x] = d_shape[x];
         // Without an earlier shape the module was given the start shape twice.
-        if (!d_previous.empty() && !has_previous_[i]) g.shape.data()[x] += d_previous[static_cast<std::size_t>(x)];
+        if (!d_previous.empty() && !has_previous_[i]) g.shape.data()[x] += d_previous[x];
       }
       for (Index p = 0; p < 4; ++p) {
-        g.centre(p) = d_knowledge[static_cast<std::size_t>(p)];
-        g.width(p) = d_knowledge[static_cast<std::size_t>(p + 4)];
+        g.centre(p) = d_knowledge[p];
+        g.width(p) = d_knowledge[p + 4];
       }
       // Controls act directly and through the states after every segment.
       const Index s = g.state.size(), c = g.controls.cols();
@@ -363,8 +360,7 @@ void load_module(TorchScriptPredictor::Bound& bound) {
   const auto zeros = [](std::vector<std::int64_t> sizes) {
     return at::zeros(sizes, at::TensorOptions().dtype(at::kFloat));
   };
-  const auto v = bound.task.garment->vertex_count(), s = static_cast<Index>(m.states.size()),
-             c = static_cast<Index>(m.controls.size());
+  const Index v = bound.task.garment->vertex_count(), s = m.states.size(), c = m.controls.size();
   const Index k = std::min<Index>(2, m.max_segments);
   std::vector<Tensor> inputs = {zeros({2, v, 3}), zeros({2, k + 1, s}), zeros({2, k, c}), zeros({2, 8})};
   if (m.previous) inputs.push_back(zeros({2, v, 3}));
@@ -433,7 +429,7 @@ const TorchScriptPredictor::Bound& TorchScriptPredictor::require_bound(const cha
 std::optional<Box> TorchScriptPredictor::control_range() const {
   const auto& m = require_bound("control_range").metadata;
   if (m.control_low.empty()) return std::nullopt;
-  const auto size = static_cast<Index>(m.control_low.size());
+  const Index size = m.control_low.size();
   return Box{Eigen::Map<const Vector>(m.control_low.data(), size),
              Eigen::Map<const Vector>(m.control_high.data(), size)};
 }

@@ -163,9 +163,9 @@ class Bullet::World {
     for (int e = 0; e < body_->m_links.size(); ++e) {
       btSoftBody::Link& link = body_->m_links[e];
       const double w = link.m_n[0]->m_im + link.m_n[1]->m_im;
-      const double compliance = 1.0 / (laws_[static_cast<std::size_t>(e)].stiffness * dt * dt);
-      // At least w: with half of it a link that is too stiff for the step would overshoot.
-      link.m_c0 = laws_[static_cast<std::size_t>(e)].strut ? compliance : std::max(compliance + 0.5 * w, w);
+      const double compliance = 1.0 / (laws_[e].stiffness * dt * dt);
+      // Not below w: half a link too stiff for the step would overshoot.
+      link.m_c0 = laws_[e].strut ? compliance : std::max(compliance + 0.5 * w, w);
     }
     compliance_is_current_ = true;
   }
@@ -175,7 +175,7 @@ class Bullet::World {
     const double dt = substep_.seconds;
     for (int e = 0; e < body_->m_links.size(); ++e) {
       btSoftBody::Link& link = body_->m_links[e];
-      const LinkLaw& law = laws_[static_cast<std::size_t>(e)];
+      const LinkLaw& law = laws_[e];
       link.m_c3 = link.m_n[1]->m_x - link.m_n[0]->m_x;
       const double rate = law.strut ? 0.0 : damping_ * law.stiffness * dt, w = link.m_n[0]->m_im + link.m_n[1]->m_im;
       link.m_c2 = rate / ((1.0 + rate * w) * std::max(link.m_c3.length2(), 1e-30));
@@ -185,7 +185,7 @@ class Bullet::World {
 
   void substeps() {
     if (!compliance_is_current_) update_compliance();
-    const auto n = static_cast<std::size_t>(body_->m_nodes.size());
+    const std::size_t n = body_->m_nodes.size();
     const double dt = substep_.seconds;
     const btVector3 gain = dt * btVector3(scene_.gravity.x(), scene_.gravity.y(), scene_.gravity.z());
     const double keep = 1.0 / (1.0 + dt * drag_);
@@ -195,7 +195,7 @@ class Bullet::World {
     for (Index s = 1; s <= substeps_; ++s) {
       if (damping_ > 0.0) damp();
       for (std::size_t i = 0; i < n; ++i) {
-        auto& node_i = node(static_cast<Index>(i));
+        auto& node_i = node(i);
         node_i.m_q = node_i.m_x;
         if (node_i.m_im == 0.0) continue;
         node_i.m_v = keep * (node_i.m_v + gain);
@@ -203,18 +203,18 @@ class Bullet::World {
       }
       const double part = static_cast<double>(s) / static_cast<double>(substeps_);
       for (std::size_t k = 0; k < held_->size(); ++k) {
-        const btVector3 target = vector(*targets_, static_cast<Index>(k));
+        const btVector3 target = vector(*targets_, k);
         node((*held_)[k]).m_x = s == substeps_ ? target : begin_[k] + part * (target - begin_[k]);
       }
       btSoftBody::PSolve_Links(body_, 1.0, 0.0);
       for (std::size_t i = 0; i < n; ++i) {
-        substep_.start[i] = vector(node(static_cast<Index>(i)).m_q);
-        substep_.end[i] = vector(node(static_cast<Index>(i)).m_x);
+        substep_.start[i] = vector(node(i).m_q);
+        substep_.end[i] = vector(node(i).m_x);
       }
       contact_.resolve(substep_, passes_);
       double sum = 0.0;
       for (std::size_t i = 0; i < n; ++i) {
-        auto& node_i = node(static_cast<Index>(i));
+        auto& node_i = node(i);
         if (node_i.m_im != 0.0) {
           node_i.m_x = vector(substep_.end[i]);
           node_i.m_v = (node_i.m_x - node_i.m_q) / dt;
@@ -224,7 +224,7 @@ class Bullet::World {
       if (!(sum < kAbsurdSpeed * kAbsurdSpeed)) return;  // advance_frame() reports it
     }
     for (std::size_t k = 0; k < held_->size(); ++k)
-      node((*held_)[k]).m_v = (vector(*targets_, static_cast<Index>(k)) - begin_[k]) / kFrameSeconds;
+      node((*held_)[k]).m_v = (vector(*targets_, k) - begin_[k]) / kFrameSeconds;
   }
 
   btSoftBodyRigidBodyCollisionConfiguration configuration_;

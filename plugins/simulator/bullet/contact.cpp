@@ -154,7 +154,7 @@ SelfContact::SelfContact(const Garment& garment, double thickness, double self_f
 /// Halves the vertices at the median of the longer side, in rest coordinates: neighbours there stay neighbours.
 void SelfContact::make_patches(const Garment& garment) {
   const Index n = garment.vertex_count();
-  const auto most = static_cast<std::size_t>(std::max<Index>(kPatchVertices, n / kMostPatches + 1));
+  const std::size_t most = std::max<Index>(kPatchVertices, n / kMostPatches + 1);
   std::vector<std::int32_t> order(n);
   std::iota(order.begin(), order.end(), 0);
   std::vector<std::int32_t> patch_of(n);
@@ -280,9 +280,8 @@ void SelfContact::resolve(Substep& substep, int passes) {
 /// of the box of their vertices' moves.
 void SelfContact::make_contacts(const Substep& substep) {
   found_.clear();
-  const auto count = static_cast<Index>(patches_.size());
-  // One row per patch: the box of its vertices' moves since the start of the previous substep and predicted for this
-  // one.
+  const Index count = patches_.size();
+  // A row per patch, the box of its vertices' moves: since the start of the substep before, and predicted for this one.
   Eigen::ArrayXXd moved(count, 6), predicted(count, 6);
   const auto bounds = [&](const auto& move, auto& rows) {
     for (Index p = 0; p < count; ++p) {
@@ -311,11 +310,11 @@ void SelfContact::make_contacts(const Substep& substep) {
     };
     const Eigen::ArrayXd way = sizes(moved), range = sizes(predicted);
     for (Index k = 0; k < n; ++k) {
-      const std::size_t at = first + static_cast<std::size_t>(k);
+      const std::size_t at = first + k;
       travelled_[at] += way[k];
       if (!(travelled_[at] + kLookAhead * range[k] + kSlack < alarm_[at])) add_contacts(at, range[k], substep);
     }
-    first += static_cast<std::size_t>(n);
+    first += n;
   }
   order_.clear();
   for (std::size_t k = 0; k < found_.size(); ++k) order_.emplace_back(found_[k].pair->order, k);
@@ -434,7 +433,7 @@ void SelfContact::certify(Substep& substep) {
     return any;
   };
 
-  Index left = static_cast<Index>(contacts_.size());
+  Index left = contacts_.size();
   for (int pass = 0; pass < kCertifyPasses && left > 0; ++pass) {
     left = 0;
     for (const Contact& contact : contacts_)

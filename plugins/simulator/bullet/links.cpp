@@ -90,7 +90,7 @@ std::vector<double> fit_form(const std::vector<Element>& elements, const Form& t
   constexpr int sweeps = 60;
   const auto& parts = patches.parts;
   const auto& patch = patches.area;
-  const auto vertices = static_cast<Index>(patch.size());
+  const Index vertices = patch.size();
   const std::size_t n = elements.size();
   double whole = 0.0;
   for (const double a : areas) whole += a;

@@ -148,9 +148,8 @@ void Cloth::advance_frame(const Positions& targets, double drag, Positions& x, P
     if (last_substeps_ > 4 * params_.max_substeps) throw Diverged("no progress");
   }
   for (std::size_t i = 0; i < state_.x.size(); ++i) {
-    const auto row = static_cast<Index>(i);
-    x.row(row) << state_.x[i].x, state_.x[i].y, state_.x[i].z;
-    v.row(row) << state_.v[i].x, state_.v[i].y, state_.v[i].z;
+    x.row(i) << state_.x[i].x, state_.x[i].y, state_.x[i].z;
+    v.row(i) << state_.v[i].x, state_.v[i].y, state_.v[i].z;
   }
 }
 
@@ -160,8 +159,7 @@ void Cloth::aim(const Positions& targets) {
   target_.resize(held().size());
   for (std::size_t k = 0; k < held().size(); ++k) {
     const Index i = held()[k];
-    const auto row = static_cast<Index>(k);
-    const Double4 s = state_.x[i], t{targets(row, 0), targets(row, 1), targets(row, 2), 0.0};
+    const Double4 s = state_.x[i], t{targets(k, 0), targets(k, 1), targets(k, 2), 0.0};
     start_[k] = s;
     target_[k] = t;
     Double4& v = state_.v[i];
@@ -375,8 +373,6 @@ double Cloth::face_strain(Index face) const {
   return elements_->principal_strain(state_.x.data(), static_cast<std::int32_t>(face));
 }
 
-void Cloth::add_diagnostics(SimulatorDiagnostics& diagnostics) const {
-  diagnostics.contacts = static_cast<Index>(state_.contact.touching);
-}
+void Cloth::add_diagnostics(SimulatorDiagnostics& diagnostics) const { diagnostics.contacts = state_.contact.touching; }
 
 }  // namespace weft::cloth

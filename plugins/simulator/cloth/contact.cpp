@@ -53,7 +53,7 @@ double SelfContact::longest_step(double g, double part) const {
 void SelfContact::clear(State& state) const {
   search_.clear(state);
   state.touching = 0;
-  const auto n = static_cast<std::size_t>(topology_->vertices);
+  const std::size_t n = topology_->vertices;
   scratch_.active.reserve(16 * n);
   scratch_.soon_faces.reserve(16 * n);
   scratch_.soon_edges.reserve(32 * n);
@@ -142,7 +142,7 @@ void SelfContact::activate_pairs(State& state, const std::vector<std::int32_t>& 
   for (std::size_t first = 0; first < soon.size(); first += 8) {
     const int lanes = static_cast<int>(std::min<std::size_t>(8, soon.size() - first));
     for (int lane = 0; lane < 8; ++lane) {
-      const auto k = static_cast<std::size_t>(soon[first + (lane < lanes ? lane : 0)]);
+      const std::size_t k = soon[first + (lane < lanes ? lane : 0)];
       group[lane] = &list.candidate[k], contacts[lane] = &list.contact[k];
     }
     const Stored m(measure<kEdges>(group, contacts, fixed, unit_f));
@@ -206,7 +206,7 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
 void SelfContact::set_stiffness(const float* inverse_mass, float longest) const {
   std::vector<Active>& active = scratch_.active;
   std::vector<float>& load = scratch_.load;
-  load.assign(static_cast<std::size_t>(topology_->vertices), 0.0f);
+  load.assign(topology_->vertices, 0.0f);
   for (const Active& a : active)
     if (a.depth > 0.0f)
       for (int k = 0; k < 4; ++k) load[a.v[k]] += std::abs(a.weight[k]);

@@ -143,7 +143,7 @@ ContactSearch::ContactSearch(const Topology& topology, float thickness, float ed
 }
 
 void ContactSearch::clear(State& state) const {
-  const auto n = static_cast<std::size_t>(topology_->vertices);
+  const std::size_t n = topology_->vertices;
   state.valid = false;
   state.vertex_triangle.clear();
   state.edge_edge.clear();

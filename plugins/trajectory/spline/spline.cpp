@@ -20,7 +20,7 @@ Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
   const auto variables = trajectory.state();
   Vector gradient(state.size());
   for (Index s = 0; s < state.size(); ++s) {
-    const double step = 1e-4 * variables[static_cast<std::size_t>(s)].scale;
+    const double step = 1e-4 * variables[s].scale;
     Vector up = state, down = state;
     up[s] += step;
     down[s] -= step;
@@ -40,7 +40,7 @@ struct Spline::Place {
 Spline::Spline(const Params& params, Host& host)
     : geometry_(host.create<Trajectory>(params.geometry)),
       points_(params.control_points),
-      columns_(static_cast<Index>(geometry_->controls().size())),
+      columns_(geometry_->controls().size()),
       by_progress_(params.over == "progress") {}
 
 Spline::Place Spline::place(double t) const {
