@@ -470,6 +470,7 @@ export class Viewer {
   }
 }
 
+/**
  * How WebGL draws, or null without WebGL. (Tested here, because three.js would report it on the console.) Software
  * renderers cannot afford several samples per pixel.
  */
