@@ -75,8 +75,8 @@ struct SweepOptions {
 };
 
 /// Runs all cells that have no row yet, seed by seed, several in parallel. Every cell has its own host with the
-/// config's `threads` (0: one thread). A row's file is whole or absent, so the next run finishes a killed one. An exception in a
-/// cell becomes its row's failure; the other cells continue.
+/// config's `threads` (0: one thread). A row's file is whole or absent, so the next run finishes a killed one. An
+/// exception in a cell becomes its row's failure; the other cells continue.
 /// @return all rows, [seeds * arms]; fewer if cancelled.
 /// @throws ConfigError if the folder holds rows of another sweep, or a damaged row.
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options);
