@@ -25,7 +25,7 @@ std::string slug(const std::string& name) {
   return text;
 }
 
-/// Makes everything that a cell of this arm makes first, and drops it: what cannot work shows before any work starts.
+/// Makes the parts that a cell of this arm needs, and drops them, so that errors show before any work starts.
 /// @return the arm's config, independent of where its files lie.
 ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginRegistry& registry, Host& host,
                     const std::filesystem::path& folder) {
@@ -104,7 +104,7 @@ int ablate(const Context& context, const std::string& file) {
   write_page(context, folder);
   context.say("results in " + folder.string());
   const bool complete = rows.size() == plan.cells();
-  if (!complete) context.say("interrupted; the same command finishes it");
+  if (!complete) context.say("interrupted; run the same command again to finish it");
   return complete ? 0 : 1;
 }
 

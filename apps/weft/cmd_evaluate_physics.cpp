@@ -89,7 +89,7 @@ void register_evaluate_physics(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("physics", "A simulator against closed forms, each with its bound");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
-  command->add_option("config", *file, "Such as configs/experiments/physics.yaml")->required();
+  command->add_option("config", *file, "Experiment file, such as configs/experiments/physics.yaml")->required();
   command->callback([&context, file] { context.action = [&context, file] { return evaluate(context, *file); }; });
 }
 

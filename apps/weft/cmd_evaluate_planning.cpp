@@ -31,7 +31,7 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   for (const auto& column : columns) context.say(planning_evaluation_table(column));
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
-  if (!evaluation.complete) context.say("interrupted; the same command finishes it");
+  if (!evaluation.complete) context.say("interrupted; run the same command again to finish it");
   return evaluation.complete ? 0 : 1;
 }
 
@@ -45,7 +45,7 @@ void register_evaluate_planning(CLI::App& app, Context& context) {
   auto widths = std::make_shared<std::vector<double>>();
   for (int i = 1; i <= 10; ++i) widths->push_back(i / 10.0);
   add_evaluation_options(*command, *options);
-  command->add_option("--widths", *widths, "w of all properties")->check(within(0.0, 1.0));
+  command->add_option("--widths", *widths, "Widths w of the knowledge of all properties")->check(within(0.0, 1.0));
   command->callback([&context, options, widths] {
     context.action = [&context, options, widths] { return evaluate(context, *options, *widths); };
   });

@@ -14,7 +14,7 @@ void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
   command
       .add_option(
           "--goals", options.goals,
-          "Where cases come from, one column of the result each: fresh (made from the seed), test, validation, train")
+          "Sources of cases, one column of the result each: fresh (made from the seed), test, validation, train")
       ->check(CLI::IsMember({"fresh", "test", "validation", "train"}));
   command.add_option("--cases", options.cases, "Cases per column")
       ->check(within(std::int64_t{1}, std::int64_t{100000}));

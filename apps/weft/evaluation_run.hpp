@@ -25,8 +25,8 @@ class EvaluationRun {
 
   using MakePlan = std::function<SweepPlan(const EvaluationCases&)>;
   using MakeRunner = std::function<SweepRunner(const EvaluationCases&, const std::filesystem::path& folder)>;
-  /// Runs the cells of every source; those that an earlier run finished are read.
-  /// @param line what to say about a row that ran.
+  /// Runs the cells of every source. Cells that an earlier run finished are read.
+  /// @param line the text about a row that ran.
   std::vector<EvaluationColumn> run(const MakePlan& make_plan, const MakeRunner& make_runner,
                                     const std::function<std::string(const SweepRow&)>& line);
 

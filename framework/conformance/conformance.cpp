@@ -107,7 +107,7 @@ std::vector<LawResult> check_conformance(Host& host, const std::string& kind, co
   conformance::prepare(kind, bench);  // a wrong parameter or task is the user's error and fails no law
 
   for (auto& result : results) {
-    const auto& law = laws[static_cast<std::size_t>(std::find(names.begin(), names.end(), result.law) - names.begin())];
+    const auto& law = laws[std::find(names.begin(), names.end(), result.law) - names.begin()];
     conformance::Outcome outcome;
     try {
       outcome = law.check(bench);

@@ -40,8 +40,7 @@ class Watched final : public Objective {
     if (request.residuals && offered_.residuals == 0) throw Unsupported("conformance: residuals are not offered");
     asked_gradients |= request.gradients;
     asked_residuals |= request.residuals;
-    well_formed &=
-        x.rows() == dim_ && x.cols() == static_cast<Index>(instances.size()) && x.cols() > 0 && x.allFinite();
+    well_formed &= x.rows() == dim_ && x.cols() == std::ssize(instances) && x.cols() > 0 && x.allFinite();
     for (std::size_t i = 0; i < instances.size(); ++i) {
       well_formed &= instances[i] >= 0 && instances[i] < count && (i == 0 || instances[i] >= instances[i - 1]);
     }
@@ -56,7 +55,7 @@ class Watched final : public Objective {
       Point p = function_(at);
       double cost = 0.5 * p.r.squaredNorm();
       Vector gradient = p.j.transpose() * p.r;
-      const Index instance = instances[static_cast<std::size_t>(i)];
+      const Index instance = instances[i];
       if (hole && hole(at, instance)) {
         cost = instance % 2 == 0 ? kInfinity : kNaN;
         gradient.setConstant(kNaN);
@@ -135,7 +134,7 @@ struct Search {
     objective.count = starts.cols();
     objective.box = box;
     auto results = optimiser.minimise(objective, starts, box, scale, options, observer);
-    require_shape("results of minimise()", static_cast<Index>(results.size()), starts.cols());
+    require_shape("results of minimise()", results.size(), starts.cols());
     for (const auto& r : results) require_shape("x of a result", r.x.size(), starts.rows());
     return results;
   }
@@ -143,7 +142,7 @@ struct Search {
   double worst_ratio(const std::vector<OptimiserResult>& results, double least = 0.0) const {
     Worst worst;
     for (std::size_t i = 0; i < results.size(); ++i) {
-      const double from = objective.cost(starts.col(static_cast<Index>(i)));
+      const double from = objective.cost(starts.col(i));
       worst.add((objective.cost(results[i].x) - least) / (from - least));
     }
     return worst.value();
@@ -218,7 +217,7 @@ Outcome survives_holes(const Bench& bench) {
   const auto results = s.run();
   Worst worst;
   for (Index i = 0; i < 2; ++i) {
-    const auto& r = results[static_cast<std::size_t>(i)];
+    const auto& r = results[i];
     if (!std::isfinite(r.cost) || !r.x.allFinite() || r.x[0] > 0.0)
       return failed("an instance that started outside the hole ended in it");
     worst.add(r.cost / s.objective.cost(starts.col(i)));
@@ -291,8 +290,7 @@ Outcome instances_do_not_affect_one_another(const Bench& bench) {
   for (Index n : {1, 2, 3}) {
     Search fewer(*o, 3, small_bowl(), starts.leftCols(n));
     const auto results = fewer.run();
-    for (Index i = 0; i < n; ++i)
-      wrong += differing_results(results[static_cast<std::size_t>(i)], together[static_cast<std::size_t>(i)]);
+    for (Index i = 0; i < n; ++i) wrong += differing_results(results[i], together[i]);
   }
   // The starts of the others do not matter either.
   Matrix moved = spread(3, 4, 1);
@@ -319,7 +317,7 @@ Outcome budget_is_respected(const Bench& bench) {
     const auto results = s.run();
     for (std::size_t i = 0; i < results.size(); ++i) {
       const auto& r = results[i];
-      const Index counted = s.objective.evaluations[static_cast<Index>(i)];
+      const Index counted = s.objective.evaluations[i];
       if (counted > evaluations)
         wrong.miss(std::to_string(counted) + " evaluations, at most " + std::to_string(evaluations) + " are allowed");
       if (r.evaluations != counted)
@@ -370,8 +368,8 @@ Outcome observer_stops_the_search(const Bench& bench) {
   if (s.objective.calls != calls_then) wrong.miss("the objective was evaluated after the observer returned false");
   for (std::size_t i = 0; i < results.size(); ++i) {
     if (results[i].status != OptimiserStatus::stopped)
-      wrong.miss(std::string("a stopped search ended as ") + to_string(results[i].status));
-    if (results[i].cost != before[static_cast<Index>(i)]) wrong.miss("a cost is not the last observed one");
+      wrong.miss(std::string("a stopped search that ends as ") + to_string(results[i].status));
+    if (results[i].cost != before[i]) wrong.miss("a cost that is not the last one observed");
   }
   return wrong.outcome();
 }
@@ -384,7 +382,7 @@ Outcome the_best_point_is_returned(const Bench& bench) {
     s.options.max_iterations = iterations;
     const auto results = s.run();
     for (std::size_t i = 0; i < results.size(); ++i) {
-      const auto& [cost, x] = s.objective.best[static_cast<Index>(i)];
+      const auto& [cost, x] = s.objective.best[i];
       if (results[i].cost != cost || results[i].x != x) ++wrong;
     }
   }

@@ -36,7 +36,7 @@ struct Fold {
     Controls c = task.trajectory->default_controls(segments);
     const auto variables = task.trajectory->controls();
     for (Index i = 0; i < c.cols(); ++i) {
-      const auto& v = variables[static_cast<std::size_t>(i)];
+      const auto& v = variables[i];
       const double margin = std::min(0.3 * v.scale, 0.25 * (v.upper - v.lower));
       for (Index j = 0; j < segments; ++j)
         c(j, i) = std::clamp(c(j, i) + v.scale * random.uniform(-0.5, 0.5), v.lower + margin, v.upper - margin);
@@ -148,12 +148,12 @@ std::string failures(const Prediction& prediction, std::size_t count) {
 Vector losses(const Fold& fold, const std::vector<PredictionCase>& cases, const Cotangents& weights) {
   const auto prediction = fold.predict(cases);
   if (const auto text = failures(*prediction, cases.size()); !text.empty()) throw Error(text);
-  Vector sums = Vector::Zero(static_cast<Index>(cases.size()));
+  Vector sums = Vector::Zero(cases.size());
   for (std::size_t i = 0; i < cases.size(); ++i) {
     for (std::size_t s = 0; s < cases[i].segments.size(); ++s) {
       const auto& shape = prediction->shapes()[i][s];
       const auto& w = weights[i % weights.size()][s];
-      sums[static_cast<Index>(i)] += shape.mean.cwiseProduct(w.mean).sum() + shape.sigma.cwiseProduct(w.sigma).sum();
+      sums[i] += shape.mean.cwiseProduct(w.mean).sum() + shape.sigma.cwiseProduct(w.sigma).sum();
     }
   }
   return sums;
@@ -200,8 +200,7 @@ Outcome pullback_error(const Fold& fold, double step,
     const Vector values = losses(fold, all, weights);
     for (std::size_t i = 0; i < cases.size(); ++i) {
       double slope = 0.0;
-      for (std::size_t k = 0; k < 4; ++k)
-        slope += kWeights[k] * values[static_cast<Index>(k * cases.size() + i)] / step;
+      for (std::size_t k = 0; k < 4; ++k) slope += kWeights[k] * values[k * cases.size() + i] / step;
       const auto& d = directions[i];
       const auto& g = gradients[i];
       double predicted = d.centre.dot(g.centre) + d.width.dot(g.width);
@@ -241,8 +240,7 @@ Outcome pullback_of_controls(const Bench& bench) {
     Direction d;
     d.controls.resize(c.controls.rows(), c.controls.cols());
     for (Index j = 0; j < d.controls.rows(); ++j)
-      for (Index i = 0; i < d.controls.cols(); ++i)
-        d.controls(j, i) = random.uniform(-1.0, 1.0) * variables[static_cast<std::size_t>(i)].scale;
+      for (Index i = 0; i < d.controls.cols(); ++i) d.controls(j, i) = random.uniform(-1.0, 1.0) * variables[i].scale;
     return d;
   });
 }
@@ -289,8 +287,7 @@ Outcome pullback_of_state(const Bench& bench) {
     d.state = Vector::Zero(c.state.size());
     // Many trajectories have a kink at the start, but none after one segment.
     if (c.previous)
-      for (Index i = 0; i < c.state.size(); ++i)
-        d.state[i] = random.uniform(-1.0, 1.0) * variables[static_cast<std::size_t>(i)].scale;
+      for (Index i = 0; i < c.state.size(); ++i) d.state[i] = random.uniform(-1.0, 1.0) * variables[i].scale;
     return d;
   });
 }
@@ -322,8 +319,7 @@ Outcome jvp_matches(const Bench& bench) {
       CaseDirection d;
       d.controls.resize(cases[i].controls.rows(), cases[i].controls.cols());
       for (Index j = 0; j < d.controls.rows(); ++j)
-        for (Index k = 0; k < d.controls.cols(); ++k)
-          d.controls(j, k) = random.uniform(-1.0, 1.0) * variables[static_cast<std::size_t>(k)].scale;
+        for (Index k = 0; k < d.controls.cols(); ++k) d.controls(j, k) = random.uniform(-1.0, 1.0) * variables[k].scale;
       for (int p = 0; p < 4; ++p) {
         d.centre[p] = random.uniform(-0.5, 0.5);
         d.width[p] = random.uniform(-0.5, 0.5);
@@ -655,7 +651,7 @@ Outcome limits_are_sound(const Bench& bench) {
   if (!range && !most) return undeclared_without_call();
   Refusals wrong;
   if (range) {
-    const auto count = static_cast<Index>(fold.task.trajectory->controls().size());
+    const Index count = fold.task.trajectory->controls().size();
     const auto &low = range->lower, &high = range->upper;
     if (low.size() != count || high.size() != count || !low.allFinite() || !high.allFinite() ||
         (low.array() > high.array()).any())
@@ -736,7 +732,7 @@ Task predictor_task(const Bench& bench) {
   m.contact_height = 0.002;
   m.grasp_points.resize(2, 3);
   for (Index i = 0; i < 2; ++i) {
-    m.grasp_points.row(i) = task.garment->positions.row(m.grasp_vertices[static_cast<std::size_t>(i)]);
+    m.grasp_points.row(i) = task.garment->positions.row(m.grasp_vertices[i]);
     m.grasp_points(i, 2) = m.contact_height;
   }
   return task;

@@ -37,9 +37,8 @@ const Positions kNothing(0, 3);
 
 Positions held(const Simulator& simulator) {
   const auto vertices = simulator.grasped();
-  Positions points(static_cast<Index>(vertices.size()), 3);
-  for (std::size_t i = 0; i < vertices.size(); ++i)
-    points.row(static_cast<Index>(i)) = simulator.positions().row(vertices[i]);
+  Positions points(vertices.size(), 3);
+  for (std::size_t i = 0; i < vertices.size(); ++i) points.row(i) = simulator.positions().row(vertices[i]);
   return points;
 }
 

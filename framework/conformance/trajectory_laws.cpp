@@ -32,17 +32,17 @@ void for_manipulations(const Trajectory& trajectory, Each&& each) {
 }
 
 Vector scales(const std::vector<Variable>& variables) {
-  Vector s(static_cast<Index>(variables.size()));
-  for (Index i = 0; i < s.size(); ++i) s[i] = variables[static_cast<std::size_t>(i)].scale;
+  Vector s(variables.size());
+  for (Index i = 0; i < s.size(); ++i) s[i] = variables[i].scale;
   return s;
 }
 
 /// Controls inside their bounds: the default plus or minus up to one scale.
 Vector random_control(const Trajectory& trajectory, RandomStream& random) {
   const auto variables = trajectory.controls();
-  Vector c(static_cast<Index>(variables.size()));
+  Vector c(variables.size());
   for (Index i = 0; i < c.size(); ++i) {
-    const auto& v = variables[static_cast<std::size_t>(i)];
+    const auto& v = variables[i];
     c[i] = std::clamp(v.default_value + v.scale * random.uniform(-1.0, 1.0), v.lower, v.upper);
   }
   return c;
@@ -103,8 +103,7 @@ Outcome variables_are_well_formed(const Bench& bench) {
     }
   }
   for_manipulations(*t, [&](const Manipulation& m) {
-    if (t->initial_state(m).size() != static_cast<Index>(t->state().size()))
-      wrong.miss("initial_state() has the wrong size");
+    if (t->initial_state(m).size() != std::ssize(t->state())) wrong.miss("initial_state() has another size");
   });
   return wrong.outcome();
 }
@@ -248,7 +247,7 @@ Outcome decode_pullback_is_exact(const Bench& bench) {
   const Vector state = t->initial_state(m);
   for (Index horizon : {1, 3}) {
     const Vector x = t->encode(t->default_controls(horizon), state);
-    Controls w(horizon, static_cast<Index>(t->controls().size()));
+    Controls w(horizon, t->controls().size());
     for (Index i = 0; i < w.size(); ++i) w.data()[i] = random.normal();
     w.array().rowwise() /= scales(t->controls()).transpose().array();
     const auto value = [&](const Vector& at) { return t->decode(at, horizon, state).cwiseProduct(w).sum(); };
@@ -281,9 +280,9 @@ Outcome decision_box_is_sound(const Bench& bench) {
         !((start - box.upper).array() <= 1e-9 * scale.array()).all())
       wrong.miss("the box does not contain the default trajectory" + at);
     const Controls c = t->decode(random_decision(*t, horizon, random), horizon, state);
-    require_shape("columns of decode()", c.cols(), static_cast<Index>(variables.size()));
+    require_shape("columns of decode()", c.cols(), variables.size());
     for (Index i = 0; i < c.cols(); ++i) {
-      const auto& v = variables[static_cast<std::size_t>(i)];
+      const auto& v = variables[i];
       if (!(c.col(i).array() >= v.lower - 1e-9 * v.scale).all() ||
           !(c.col(i).array() <= v.upper + 1e-9 * v.scale).all())
         wrong.miss("a point in the box decodes to " + v.name + " outside its bounds" + at);

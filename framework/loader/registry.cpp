@@ -4,7 +4,6 @@
 #include <link.h>
 
 #include <algorithm>
-#include <boost/dll/runtime_symbol_info.hpp>
 #include <boost/dll/shared_library.hpp>
 #include <cstdlib>
 #include <cstring>
@@ -13,6 +12,7 @@
 #include <set>
 #include <sstream>
 
+#include "sdk/files.hpp"
 #include "weft/config.hpp"
 #include "weft/optimiser.hpp"
 #include "weft/plugin.hpp"
@@ -200,9 +200,7 @@ std::vector<fs::path> PluginRegistry::default_search_path() {
       if (!folder.empty()) folders.emplace_back(folder);
     }
   }
-  // Next to libweft.so: <lib>/weft/plugins, both in the build tree and after installation.
-  const fs::path here = dll::this_line_location().string();
-  folders.push_back(here.parent_path() / "weft" / "plugins");
+  folders.push_back(library_folder() / "weft" / "plugins");
   return folders;
 }
 

@@ -1,13 +1,13 @@
 #include "report/page.hpp"
 
 #include <algorithm>
-#include <boost/dll/runtime_symbol_info.hpp>
 #include <cmath>
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
 
 #include "report/page_data.hpp"
+#include "sdk/files.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/simulator.hpp"
 
@@ -140,7 +140,7 @@ ReportTemplate find_report_template() {
     return {"", std::string("WEFT_REPORT_TEMPLATE names ") + given + ", which is not a file"};
   }
   // <prefix>/share/weft/report, seen from <prefix>/lib or <prefix>/lib/<multiarch>.
-  fs::path folder = fs::path(boost::dll::this_line_location().string()).parent_path();
+  fs::path folder = library_folder();
   for (int level = 0; level < 3 && folder.has_relative_path(); ++level) {
     folder = folder.parent_path();
     const fs::path share = folder / "share" / "weft" / "report";

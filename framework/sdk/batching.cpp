@@ -81,7 +81,7 @@ class Meeting {
         value_.finite = value_.finite && value_.residuals.allFinite();
       }
       if (request_.jacobians) {
-        value_.jacobian = e.jacobians[static_cast<std::size_t>(column)];
+        value_.jacobian = e.jacobians[column];
         value_.finite = value_.finite && value_.jacobian.allFinite();
       }
       last_was_finite_ = value_.finite;
@@ -209,7 +209,7 @@ class Meeting {
   }
 
   Vector best_costs() const {
-    Vector costs(static_cast<Index>(instances_.size()));
+    Vector costs(instances_.size());
     for (const auto& one : instances_) costs[one->number_] = one->result_.cost;
     return costs;
   }
@@ -226,10 +226,10 @@ class Meeting {
         group.push_back(one);
         numbers.push_back(one->number_);
       }
-      const auto n = static_cast<Index>(group.size());
+      const Index n = group.size();
       const Index dim = bounds_.dim();
       Matrix x(dim, n);
-      for (Index j = 0; j < n; ++j) x.col(j) = group[static_cast<std::size_t>(j)]->x_;
+      for (Index j = 0; j < n; ++j) x.col(j) = group[j]->x_;
       const Evaluation e = objective_.evaluate(x, numbers, kind);
       require_shape("batching: costs of the objective", e.costs.size(), n);
       if (kind.gradients) {
@@ -241,13 +241,13 @@ class Meeting {
         require_shape("batching: columns of the objective's residuals", e.residuals.cols(), n);
       }
       if (kind.jacobians) {
-        require_shape("batching: the objective's Jacobians", static_cast<Index>(e.jacobians.size()), n);
+        require_shape("batching: the objective's Jacobians", e.jacobians.size(), n);
         for (const auto& jacobian : e.jacobians) {
           require_shape("batching: rows of a Jacobian", jacobian.rows(), residuals_);
           require_shape("batching: columns of a Jacobian", jacobian.cols(), dim);
         }
       }
-      for (Index j = 0; j < n; ++j) group[static_cast<std::size_t>(j)]->take(e, j);
+      for (Index j = 0; j < n; ++j) group[j]->take(e, j);
     }
   }
 

@@ -156,7 +156,7 @@ std::string read_text(const fs::path& file, const Asker& asker) {
   std::string text;
   char block[1 << 16];
   while (stream.read(block, sizeof(block)) || stream.gcount() > 0) {
-    text.append(block, static_cast<std::size_t>(stream.gcount()));
+    text.append(block, stream.gcount());
     if (static_cast<std::streamsize>(text.size()) > kMaxBytes) {
       fail_file(file, asker, "is larger than " + std::to_string(kMaxBytes / 1'000'000) + " MB, must be a YAML file");
     }
@@ -275,7 +275,7 @@ void write_value(const ConfigNode& value, std::ostream& out, int indent) {
 
 void write_yaml(const ConfigNode& node, std::ostream& out, int indent, bool inline_allowed) {
   const auto& data = Access::data(node);
-  const std::string pad(static_cast<std::size_t>(indent), ' ');
+  const std::string pad(indent, ' ');
   switch (data.kind) {
     case ConfigNode::Kind::null:
       out << "null";

@@ -71,7 +71,7 @@ struct Hdf5File::Impl {
     if (H5Sget_simple_extent_type(space) != H5S_SIMPLE) return {};
     const int rank = H5Sget_simple_extent_ndims(space);
     if (rank < 0 || rank > 8) fail(path, "has a rank that is not supported");
-    std::vector<hsize_t> dims(static_cast<std::size_t>(rank));
+    std::vector<hsize_t> dims(rank);
     H5Sget_simple_extent_dims(space, dims.data(), nullptr);
     return {dims.begin(), dims.end()};
   }

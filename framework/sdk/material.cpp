@@ -358,7 +358,7 @@ Fabric MaterialSpace::at(const MaterialProperties& q) const {
   constexpr double kSlack = 1e-9;
   std::array<double, 4> value{};
   for (std::size_t p = 0; p < 4; ++p) {
-    const double raw = q[static_cast<Index>(p)];
+    const double raw = q[p];
     if (!(raw >= -kSlack && raw <= 1.0 + kSlack)) {
       throw ConfigError(std::string("material property ") + kPropertyNames[p] + " = " + text_of(raw) +
                         ", must be in [0, 1]");

@@ -46,7 +46,7 @@ std::string read_whole(const std::filesystem::path& path) {
                       std::to_string(kMaxFileBytes));
   }
   std::ifstream in(path, std::ios::binary);
-  std::string text(static_cast<std::size_t>(size), '\0');
+  std::string text(size, '\0');
   if (!in || !in.read(text.data(), static_cast<std::streamsize>(size))) {
     throw ConfigError(path.string() + ": cannot be read");
   }
@@ -160,8 +160,7 @@ struct Reader {
           const std::string_view vt = tail.substr(0, second);
           if (!vt.empty()) textures[count] = index(vt, texture.size(), what + " (vt)", word);
           if (second != std::string_view::npos && !tail.substr(second + 1).empty()) {
-            index(tail.substr(second + 1), static_cast<std::size_t>(std::numeric_limits<int>::max()), what + " (vn)",
-                  word);
+            index(tail.substr(second + 1), std::numeric_limits<int>::max(), what + " (vn)", word);
           }
         }
       }
@@ -227,8 +226,8 @@ struct Reader {
                what + " names vt " + std::to_string(static_cast<long long>(vt) + 1) + ", but the file has only " +
                    std::to_string(texture_count));
         }
-        int& known = texture_of[static_cast<std::size_t>(v)];
-        if (known >= 0 && texture[static_cast<std::size_t>(known)] != texture[static_cast<std::size_t>(vt)]) {
+        int& known = texture_of[v];
+        if (known >= 0 && texture[known] != texture[vt]) {
           fail(name, face_lines[f],
                what + " gives vertex " + std::to_string(v + 1) + " vt " + std::to_string(vt + 1) +
                    ", but an earlier face gave it vt " + std::to_string(known + 1) +
@@ -250,19 +249,19 @@ struct Reader {
     mesh.positions.resize(vertex_count, 3);
     for (Index v = 0; v < vertex_count; ++v) {
       for (Index k = 0; k < 3; ++k) {
-        mesh.positions(v, k) = vertices[static_cast<std::size_t>(v)][static_cast<std::size_t>(k)];
+        mesh.positions(v, k) = vertices[v][k];
       }
     }
     mesh.rest.resize(with_texture ? vertex_count : 0, 2);
     for (Index v = 0; v < mesh.rest.rows(); ++v) {
-      const int vt = texture_of[static_cast<std::size_t>(v)];
+      const int vt = texture_of[v];
       if (vt < 0) throw ConfigError(name + ": vertex " + std::to_string(v + 1) + " is in no face");
-      mesh.rest(v, 0) = texture[static_cast<std::size_t>(vt)][0];
-      mesh.rest(v, 1) = texture[static_cast<std::size_t>(vt)][1];
+      mesh.rest(v, 0) = texture[vt][0];
+      mesh.rest(v, 1) = texture[vt][1];
     }
-    mesh.faces.resize(static_cast<Index>(faces.size()), 3);
+    mesh.faces.resize(faces.size(), 3);
     for (Index f = 0; f < mesh.faces.rows(); ++f) {
-      for (Index k = 0; k < 3; ++k) mesh.faces(f, k) = faces[static_cast<std::size_t>(f)][static_cast<std::size_t>(k)];
+      for (Index k = 0; k < 3; ++k) mesh.faces(f, k) = faces[f][k];
     }
     return mesh;
   }
@@ -315,7 +314,7 @@ void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact) 
   }
   if (mesh.rest.rows() != 0) require_shape("write_obj: rest rows", mesh.rest.rows(), mesh.positions.rows());
   std::string out;
-  out.reserve(static_cast<std::size_t>(mesh.positions.rows() * 60 + mesh.faces.rows() * 30));
+  out.reserve(mesh.positions.rows() * 60 + mesh.faces.rows() * 30);
   for (Index v = 0; v < mesh.positions.rows(); ++v) {
     out += 'v';
     for (Index k = 0; k < 3; ++k) append_number(out += ' ', mesh.positions(v, k), exact);

@@ -135,7 +135,7 @@ void SimulatorBase::set_held(std::span<const Index> vertices) {
   held_.assign(vertices.begin(), vertices.end());
   std::fill(is_held_.begin(), is_held_.end(), std::uint8_t{0});
   for (const Index vertex : held_) is_held_[vertex] = 1;
-  still_.resize(static_cast<Index>(held_.size()), 3);
+  still_.resize(held_.size(), 3);
 }
 
 void SimulatorBase::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) {
@@ -221,8 +221,8 @@ void SimulatorBase::release() { release(std::vector<Index>(held_)); }
 
 void SimulatorBase::step(const Positions& grasp_targets) {
   require_running("step");
-  const auto held = static_cast<Index>(held_.size());
-  if (grasp_targets.rows() != held)  // avoids allocating the message in every frame
+  const Index held = held_.size();
+  if (grasp_targets.rows() != held)  // else its message is allocated in every frame
     require_shape(name_ + ": step: rows of grasp_targets", grasp_targets.rows(), held);
   if (!grasp_targets.allFinite()) throw Error(name_ + ": step: grasp_targets are not finite");
   advance(grasp_targets, 0.0);
@@ -230,7 +230,7 @@ void SimulatorBase::step(const Positions& grasp_targets) {
 
 SettleResult SimulatorBase::settle(const SettleCriterion& criterion) {
   require_running("settle");
-  for (std::size_t k = 0; k < held_.size(); ++k) still_.row(static_cast<Index>(k)) = positions_.row(held_[k]);
+  for (std::size_t k = 0; k < held_.size(); ++k) still_.row(k) = positions_.row(held_[k]);
   SettleResult result;
   for (Index calm = 0; result.frames < criterion.max_frames && !result.settled; ++result.frames) {
     advance(still_, options_.settle_drag_per_s);

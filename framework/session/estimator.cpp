@@ -34,7 +34,7 @@ History collect(const EstimateRequest& request, Index vertices) {
     const auto& seen = *request.observations[j];
     const std::string where = "estimation: observation " + std::to_string(j + 1);
     require_shape(where + ": positions", seen.positions.rows(), vertices);
-    if (!seen.observed.empty()) require_shape(where + ": observed", static_cast<Index>(seen.observed.size()), vertices);
+    if (!seen.observed.empty()) require_shape(where + ": observed", seen.observed.size(), vertices);
     if (!(seen.sigma >= 0.0) || !std::isfinite(seen.sigma)) throw Error(where + ": sigma must be finite and >= 0");
     const std::size_t before = history.coordinates.size();
     for (Index v = 0; v < vertices; ++v) {
@@ -44,7 +44,7 @@ History collect(const EstimateRequest& request, Index vertices) {
         history.coordinates.push_back({history.segments.size(), 3 * v + axis, seen.positions(v, axis)});
     }
     if (history.coordinates.size() == before) continue;
-    history.segments.push_back(static_cast<Index>(j) + 1);
+    history.segments.push_back(j + 1);
     history.noise.push_back(seen.sigma);
   }
   return history;
@@ -104,7 +104,7 @@ class EstimationObjective final : public Objective {
 
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
     require_shape("estimation objective: x rows", x.rows(), dim());
-    require_shape("estimation objective: instances", static_cast<Index>(instances.size()), x.cols());
+    require_shape("estimation objective: instances", instances.size(), x.cols());
     if (wanted.gradients && !capabilities().gradients)
       throw Unsupported("estimation objective: the predictor has no gradients");
     const Index n = x.cols();
@@ -121,23 +121,21 @@ class EstimationObjective final : public Objective {
     result.costs = Vector::Constant(n, std::numeric_limits<double>::infinity());
     std::vector<std::vector<ShapeCotangent>> cotangents(cases.size());
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
-      cotangents[at].resize(history_.segments.size());
-      if (!prediction->failure(at).empty()) continue;
-      const auto& shapes = prediction->shapes()[at];
+      cotangents[i].resize(history_.segments.size());
+      if (!prediction->failure(i).empty()) continue;
+      const auto& shapes = prediction->shapes()[i];
       double prior = 0.0;
       for (Index p = 4; p < dim(); ++p) prior += prior_term(x(p, i));
       const double start = start_residual(x.col(i));
-      result.costs(i) = shape_cost(shapes, wanted.gradients ? &cotangents[at] : nullptr) + prior + 0.5 * start * start;
+      result.costs(i) = shape_cost(shapes, wanted.gradients ? &cotangents[i] : nullptr) + prior + 0.5 * start * start;
     }
     if (wanted.gradients) {
       const auto gradients = prediction->pullback(cotangents);
       result.gradients = Matrix::Zero(dim(), n);
       for (Index i = 0; i < n; ++i) {
-        const auto at = static_cast<std::size_t>(i);
         if (!std::isfinite(result.costs(i))) continue;
-        result.gradients.col(i).head<4>() = gradients[at].centre;
-        if (!is_certain_) result.gradients.col(i).tail<4>() = gradients[at].width;
+        result.gradients.col(i).head<4>() = gradients[i].centre;
+        if (!is_certain_) result.gradients.col(i).tail<4>() = gradients[i].width;
         for (Index p = 4; p < dim(); ++p) result.gradients(p, i) += prior_slope(x(p, i));
         if (has_start_height_)
           result.gradients(kThickness, i) += start_residual(x.col(i)) * start_slope(x(kThickness, i));
@@ -177,7 +175,7 @@ class EstimationObjective final : public Objective {
       cases.push_back(make_case(q));
     }
     const auto prediction = predictor_.predict(cases, {.moments = Moments::mean_and_sigma});
-    evaluations_ += static_cast<Index>(cases.size());
+    evaluations_ += cases.size();
     if (!prediction->failure(0).empty())
       throw Error("estimation: the best estimate cannot be predicted: " + prediction->failure(0));
     const auto& shapes = prediction->shapes();
@@ -186,13 +184,12 @@ class EstimationObjective final : public Objective {
     MaterialPosterior result;
     result.mode = mode;
     for (std::size_t p = 0; p < 4; ++p) {
-      const auto i = static_cast<Index>(p);
-      const bool has_lower = prediction->failure(1 + 2 * p).empty() && low(i) < mode(i);
-      const bool has_upper = prediction->failure(2 + 2 * p).empty() && high(i) > mode(i);
+      const bool has_lower = prediction->failure(1 + 2 * p).empty() && low(p) < mode(p);
+      const bool has_upper = prediction->failure(2 + 2 * p).empty() && high(p) > mode(p);
       lower[p] = has_lower ? &shapes[1 + 2 * p] : &shapes[0];
       upper[p] = has_upper ? &shapes[2 + 2 * p] : &shapes[0];
-      if (!has_lower) low(i) = mode(i);
-      if (!has_upper) high(i) = mode(i);
+      if (!has_lower) low(p) = mode(p);
+      if (!has_upper) high(p) = mode(p);
     }
     const double factor = (params_.misfit_prior + information_ * misfit) / (params_.misfit_prior + information_);
     const double weight = information_ * per_coordinate_ / factor;
@@ -201,12 +198,12 @@ class EstimationObjective final : public Objective {
       const double error = c.position - shapes[0][c.shape].mean.data()[c.entry];
       PropertyVector mean, deviation;
       for (std::size_t p = 0; p < 4; ++p) {
-        const double span = high(static_cast<Index>(p)) - low(static_cast<Index>(p));
+        const double span = high(p) - low(p);
         const auto& a = (*lower[p])[c.shape];
         const auto& b = (*upper[p])[c.shape];
-        mean(static_cast<Index>(p)) = span > 0 ? (b.mean.data()[c.entry] - a.mean.data()[c.entry]) / span : 0.0;
+        mean(p) = span > 0 ? (b.mean.data()[c.entry] - a.mean.data()[c.entry]) / span : 0.0;
         // d sqrt(sigma^2 + noise^2) = sigma / total dsigma
-        deviation(static_cast<Index>(p)) =
+        deviation(p) =
             span > 0 ? (b.sigma.data()[c.entry] - a.sigma.data()[c.entry]) / span * s / std::sqrt(variance) : 0.0;
       }
       result.precision += weight / variance * (mean * mean.transpose() + 2.0 * deviation * deviation.transpose());
@@ -283,18 +280,17 @@ class EstimationObjective final : public Objective {
   /// prior on w and the height term.
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
                      bool with_jacobians, Evaluation& result) {
-    const auto seen = static_cast<Index>(history_.coordinates.size());
+    const Index seen = history_.coordinates.size();
     const Index rows = capabilities().residuals, n = x.cols();
     const double root = std::sqrt(per_coordinate_);
     result.residuals = Matrix::Zero(rows, n);
-    if (with_jacobians) result.jacobians.assign(static_cast<std::size_t>(n), Matrix::Zero(rows, dim()));
-    std::vector<std::vector<CaseDirection>> directions(static_cast<std::size_t>(n));
+    if (with_jacobians) result.jacobians.assign(n, Matrix::Zero(rows, dim()));
+    std::vector<std::vector<CaseDirection>> directions(n);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
       if (!std::isfinite(result.costs(i))) continue;
-      const auto& shapes = prediction.shapes()[at];
+      const auto& shapes = prediction.shapes()[i];
       for (Index k = 0; k < seen; ++k) {
-        const auto& c = history_.coordinates[static_cast<std::size_t>(k)];
+        const auto& c = history_.coordinates[k];
         const double deviation = std::sqrt(variance_of(shapes, c));
         result.residuals(k, i) = root * (c.position - shapes[c.shape].mean.data()[c.entry]) / deviation;
         result.residuals(seen + k, i) =
@@ -307,28 +303,27 @@ class EstimationObjective final : public Objective {
         CaseDirection direction;
         direction.controls = Controls::Zero(request_.controls.rows(), request_.controls.cols());
         (p < 4 ? direction.centre(p) : direction.width(p - 4)) = 1.0;
-        directions[at].push_back(std::move(direction));
+        directions[i].push_back(std::move(direction));
         if (p >= 4 && params_.method == "prior" && params_.width_prior > 0.0)
-          result.jacobians[at](2 * seen + p - 4, p) = prior_slope(x(p, i)) / result.residuals(2 * seen + p - 4, i);
+          result.jacobians[i](2 * seen + p - 4, p) = prior_slope(x(p, i)) / result.residuals(2 * seen + p - 4, i);
       }
-      if (has_start_height_) result.jacobians[at](2 * seen, kThickness) = start_slope(x(kThickness, i));
+      if (has_start_height_) result.jacobians[i](2 * seen, kThickness) = start_slope(x(kThickness, i));
     }
     if (!with_jacobians) return;
     const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, Moments::mean_and_sigma,
                                  {.step = params_.difference_step}, &evaluations_);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
       if (!std::isfinite(result.costs(i))) continue;
-      const auto& shapes = prediction.shapes()[at];
+      const auto& shapes = prediction.shapes()[i];
       for (Index k = 0; k < seen; ++k) {
-        const auto& c = history_.coordinates[static_cast<std::size_t>(k)];
+        const auto& c = history_.coordinates[k];
         const double s = shapes[c.shape].sigma.data()[c.entry], deviation = std::sqrt(variance_of(shapes, c));
         for (Index p = 0; p < dim(); ++p) {
-          const auto& change = derivatives[at][static_cast<std::size_t>(p)][c.shape];
+          const auto& change = derivatives[i][p][c.shape];
           const double d_log = change.sigma.data()[c.entry] * s / (deviation * deviation);  // of the total deviation
-          result.jacobians[at](k, p) = -root * change.mean.data()[c.entry] / deviation - result.residuals(k, i) * d_log;
+          result.jacobians[i](k, p) = -root * change.mean.data()[c.entry] / deviation - result.residuals(k, i) * d_log;
           if (deviation > kSigmaFloor)
-            result.jacobians[at](seen + k, p) = per_coordinate_ * d_log / result.residuals(seen + k, i);
+            result.jacobians[i](seen + k, p) = per_coordinate_ * d_log / result.residuals(seen + k, i);
         }
       }
     }
@@ -356,7 +351,7 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
     throw Unsupported("the optimiser needs gradients, but the predictor has none; choose a gradient-free optimiser");
   }
   if (!params_.deviation_scale.empty()) {
-    require_shape("estimation: deviation_scale", static_cast<Index>(params_.deviation_scale.size()), 4);
+    require_shape("estimation: deviation_scale", params_.deviation_scale.size(), 4);
     deviation_scale_ = Eigen::Map<const Eigen::Vector4d>(params_.deviation_scale.data());
   }
 }
@@ -364,7 +359,7 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
 Estimate Estimator::estimate(const EstimateRequest& request) const {
   const auto started = std::chrono::steady_clock::now();
   require_shape("estimation: start", request.start->rows(), task_.garment->vertex_count());
-  require_shape("estimation: observations", static_cast<Index>(request.observations.size()), request.controls.rows());
+  require_shape("estimation: observations", request.observations.size(), request.controls.rows());
   if (!request.start->allFinite()) throw Error("estimation: the start shape is not finite");
   Estimate estimate;
   const History history = collect(request, task_.garment->vertex_count());
@@ -404,13 +399,13 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
     estimate.losses.push_back(results[i].cost);
     if (results[i].cost < estimate.loss) {
       estimate.loss = results[i].cost;
-      estimate.instance = static_cast<Index>(i);
+      estimate.instance = i;
     }
   }
   if (!std::isfinite(estimate.loss))
     throw Error("estimation: no instance reached a finite loss: " + results.front().message);
   estimate.ended = search_end(results, estimate.instance);
-  const Vector& best = results[static_cast<std::size_t>(estimate.instance)].x;
+  const Vector& best = results[estimate.instance].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});
   objective.rate(prediction->shapes().front(), estimate);
   if (params_.method == "posterior") {

@@ -23,23 +23,23 @@ Positions final_shape_of(const std::filesystem::path& session_file, const Garmen
 }  // namespace
 
 PropertyVector property_vector(const std::vector<double>& values) {
-  require_shape("material properties", static_cast<Index>(values.size()), 4);
+  require_shape("material properties", values.size(), 4);
   return Eigen::Map<const Eigen::Vector4d>(values.data());
 }
 
 Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Index horizon) {
   const auto variables = trajectory.controls();
-  const auto columns = static_cast<Index>(variables.size());
+  const Index columns = variables.size();
   if (!node.is_sequence() || node.size() == 0)
     must_be(node, "a list of rows of " + std::to_string(columns) + " numbers");
   const auto read_row = [&](const ConfigNode& row) {
-    if (static_cast<Index>(row.size()) != columns) {
+    if (std::ssize(row) != columns) {
       row.fail("has " + std::to_string(row.size()) + " numbers, must have " + std::to_string(columns));
     }
     Vector values(columns);
     for (Index c = 0; c < columns; ++c) {
-      const auto& variable = variables[static_cast<std::size_t>(c)];
-      const ConfigNode entry = row[static_cast<std::size_t>(c)];
+      const auto& variable = variables[c];
+      const ConfigNode entry = row[c];
       values(c) = entry.as_double();
       if (!(values(c) >= variable.lower && values(c) <= variable.upper)) {
         must_be(entry, "in [" + ConfigNode::number(variable.lower).as_string() + ", " +
@@ -54,8 +54,8 @@ Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Ind
     controls.rowwise() = read_row(node).transpose();
     return controls;
   }
-  Controls controls(static_cast<Index>(node.size()), columns);
-  for (Index j = 0; j < controls.rows(); ++j) controls.row(j) = read_row(node[static_cast<std::size_t>(j)]).transpose();
+  Controls controls(node.size(), columns);
+  for (Index j = 0; j < controls.rows(); ++j) controls.row(j) = read_row(node[j]).transpose();
   return controls;
 }
 

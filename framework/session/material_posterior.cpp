@@ -59,7 +59,7 @@ MaterialKnowledge interval_of(const MaterialPosterior& posterior, int sweeps) {
   PropertyVector sd;
   for (Index p = 0; p < 4; ++p) sd(p) = 1.0 / std::sqrt(std::max(precision(p, p), kLeastPrecision));
   std::array<std::vector<double>, 4> samples;
-  for (auto& list : samples) list.reserve(static_cast<std::size_t>(sweeps));
+  for (auto& list : samples) list.reserve(sweeps);
   RandomStream random(stream_key("post"));
   PropertyVector q = posterior.mode;
   for (int sweep = -kBurnIn; sweep < sweeps; ++sweep) {
@@ -71,12 +71,12 @@ MaterialKnowledge interval_of(const MaterialPosterior& posterior, int sweeps) {
       const double mean = posterior.mode(p) - slope * sd(p) * sd(p);
       q(p) = mean + sd(p) * truncated_normal(-mean / sd(p), (1.0 - mean) / sd(p), random);
       q(p) = std::clamp(q(p), 0.0, 1.0);
-      if (sweep >= 0) samples[static_cast<std::size_t>(p)].push_back(q(p));
+      if (sweep >= 0) samples[p].push_back(q(p));
     }
   }
   MaterialKnowledge knowledge;
   for (Index p = 0; p < 4; ++p) {
-    auto& list = samples[static_cast<std::size_t>(p)];
+    auto& list = samples[p];
     std::sort(list.begin(), list.end());
     const double low50 = quantile(list, 0.25), high50 = quantile(list, 0.75);
     const double low80 = quantile(list, 0.1), high80 = quantile(list, 0.9);

@@ -27,7 +27,7 @@ std::vector<std::vector<float>> held_frames(const SessionResult& result) {
 
 std::vector<std::string> session_warnings(const SessionResult& result, const Estimator* estimator) {
   std::vector<std::string> warnings;
-  const auto segments = static_cast<Index>(result.rounds.size());
+  const Index segments = result.rounds.size();
   if (const Index most = estimator ? estimator->max_segments().value_or(segments) : segments; most < segments) {
     warnings.push_back("the predictor takes at most " + std::to_string(most) +
                        " segments; later estimates repeat the one after segment " + std::to_string(most));
@@ -173,13 +173,13 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   result.start = environment.true_shape().value_or(*current);
   result.error_mm = error_mm(first);
   EstimateChain chain(estimator, host, seed);
-  chain.start(task, first, state, static_cast<Index>(trajectory.controls().size()));
+  chain.start(task, first, state, trajectory.controls().size());
   MaterialKnowledge knowledge = setup.knowledge;
   Controls warm_start;
   // Plan, execute one segment, observe, re-plan, ..., release.
   while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
          !host.cancelled()) {
-    const auto number = static_cast<Index>(result.rounds.size());
+    const Index number = result.rounds.size();
     if (estimator) knowledge = chain.knowledge(number - params.knowledge_lag);
     SessionRound round = plan_round(params.refinement, setup,
                                     {.shape = current,

@@ -26,7 +26,7 @@ class Reader {
 
   Vector vector(const std::string& path, Index wanted = -1) const {
     const auto values = file_.read(path);
-    const auto size = static_cast<Index>(values.size());
+    const Index size = values.size();
     if (wanted >= 0 && size != wanted) {
       fail(path, "has " + std::to_string(size) + " numbers, must have " + std::to_string(wanted));
     }
@@ -105,14 +105,13 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
   const Vector centre = round.knowledge.centre, width = round.knowledge.width;
   file.write(group + "/knowledge_centre", centre);
   file.write(group + "/knowledge_width", width);
-  const Vector losses =
-      Eigen::Map<const Vector>(round.plan.losses.data(), static_cast<Index>(round.plan.losses.size()));
+  const Vector losses = Eigen::Map<const Vector>(round.plan.losses.data(), round.plan.losses.size());
   file.write(group + "/losses", losses);
   if (!round.plan.curves.empty()) {
-    Controls curves(static_cast<Index>(round.plan.curves.size()), losses.size());
+    Controls curves(round.plan.curves.size(), losses.size());
     for (Index r = 0; r < curves.rows(); ++r) {
-      const auto& row = round.plan.curves[static_cast<std::size_t>(r)];
-      for (Index c = 0; c < curves.cols(); ++c) curves(r, c) = row[static_cast<std::size_t>(c)];
+      const auto& row = round.plan.curves[r];
+      for (Index c = 0; c < curves.cols(); ++c) curves(r, c) = row[c];
     }
     file.write(group + "/loss_curves", curves);
   }
@@ -219,10 +218,10 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   if (result.goal_controls.rows() > 0) file.write("/goal_controls", result.goal_controls);
   if (result.true_material) file.write("/true_material", Vector(*result.true_material));
   if (!result.estimates.empty()) {
-    Controls centre(static_cast<Index>(result.estimates.size()), 4), width = centre;
+    Controls centre(result.estimates.size(), 4), width = centre;
     for (Index j = 0; j < centre.rows(); ++j) {
-      centre.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.centre.transpose();
-      width.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.width.transpose();
+      centre.row(j) = result.estimates[j].knowledge.centre.transpose();
+      width.row(j) = result.estimates[j].knowledge.width.transpose();
     }
     file.write("/estimates/centre", centre);
     file.write("/estimates/width", width);
@@ -261,7 +260,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   const auto corners = checked("/garment/faces", in.integers("/garment/faces"));
   if (corners.size() % 3 != 0) in.fail("/garment/faces", "must have the shape [n, 3]");
   using WideFaces = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor>;
-  record.faces = Eigen::Map<const WideFaces>(corners.data(), static_cast<Index>(corners.size() / 3), 3).cast<int>();
+  record.faces = Eigen::Map<const WideFaces>(corners.data(), corners.size() / 3, 3).cast<int>();
   const auto held = checked("/garment/grasp_vertices", in.integers("/garment/grasp_vertices"));
   record.grasp_vertices.assign(held.begin(), held.end());
   record.start = in.positions("/start", vertices);
@@ -273,7 +272,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   if (record.frames.empty()) in.fail("/frames", "holds no frame");
   if (in.has("/rounds")) {
     for (const auto& name : in.list("/rounds")) {
-      record.rounds.push_back(read_round(in, "/rounds/" + name, vertices, static_cast<Index>(held.size())));
+      record.rounds.push_back(read_round(in, "/rounds/" + name, vertices, held.size()));
     }
   }
   if (in.has("/estimates")) {

@@ -42,14 +42,14 @@ struct SessionRecord {
   std::vector<MaterialKnowledge> estimates;  ///< [segments]: after each of them; empty without estimation
 
   Index vertex_count() const { return start.rows(); }
-  Index segments() const { return static_cast<Index>(rounds.size()); }
-  /// First frame of segment j = 0, 1, ...; for j = segments() the frame of the release.
+  Index segments() const { return rounds.size(); }
+  /// Frame at which segment j = 0, 1, ... begins; segments(): at which the hands let go.
   Index segment_frame(Index j) const { return j * kFramesPerSegment; }
-  Index settle_frames() const { return static_cast<Index>(frames.size()) - 1 - segment_frame(segments()); }
+  Index settle_frames() const { return std::ssize(frames) - 1 - segment_frame(segments()); }
   bool released() const { return settle_frames() > 0; }
   /// [V, 3] m, the shape after segment j = 0, 1, ...; settled if it was the last.
   const Positions& shape_after(Index j) const {
-    return j + 1 >= segments() ? frames.back() : frames[static_cast<std::size_t>(segment_frame(j + 1))];
+    return j + 1 >= segments() ? frames.back() : frames[segment_frame(j + 1)];
   }
 };
 

@@ -28,7 +28,7 @@ double number_in(const ConfigNode& node, double low, double high) {
 Vec3 vector_in(const ConfigNode& node, double limit) {
   if (!node.is_sequence() || node.size() != 3) node.fail("must be a list of 3 numbers");
   Vec3 value;
-  for (std::size_t k = 0; k < 3; ++k) value[static_cast<Index>(k)] = number_in(node[k], -limit, limit);
+  for (std::size_t k = 0; k < 3; ++k) value[k] = number_in(node[k], -limit, limit);
   return value;
 }
 

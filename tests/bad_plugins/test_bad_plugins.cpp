@@ -18,7 +18,7 @@ using ::testing::StartsWith;
 
 const fs::path kFolder = WEFT_BAD_PLUGINS;
 
-// What is refused before any C++ call, and the part of the message that tells why.
+// Libraries that are refused before any C++ call, and the part of the message that gives the reason.
 const std::map<std::string, std::string>& refusals() {
   static const std::map<std::string, std::string> map = {
       {"missing_symbol",

@@ -34,7 +34,7 @@ constexpr Index kSettleFrames = 60;
 
 void write_json(const fs::path& file, const json& value) { std::ofstream(file) << value.dump(1) << '\n'; }
 
-/// The shape that a control state stands for: what lies left of the fold line turned about it, a little bent and waved.
+/// The shape at a control state: the part left of the fold line is turned about it, a little bent and waved.
 Positions folded(const Task& task, const Vector& state, double wave) {
   constexpr double kDegree = std::numbers::pi / 180.0;
   const double angle = std::clamp(state(0), 0.0, 180.0) * kDegree, turn = state(2) * kDegree;
@@ -309,7 +309,7 @@ void make_evaluation(const fs::path& folder, const Task& task) {
   prediction["settled"] = {{"from_start", figures(6.1)}, {"from_random", figures(4.4)}, {"no_knowledge", figures(8.2)}};
   prediction["baselines"] = {{"no_change", {{"n", 40}, {"mean_mm", 210.0}, {"median_mm", 200.0}}},
                              {"linear", {{"n", 40}, {"mean_mm", 31.0}, {"median_mm", 27.0}}}};
-  // The goals stand in for what happened, the ends of the planned folds for what was predicted.
+  // The goals serve as recorded shapes, the ends of the planned folds as predicted shapes.
   for (int i = 0; i < 40; ++i)
     prediction["cases"].push_back(
         {{"example", 100 + i},

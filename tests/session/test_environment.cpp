@@ -1,5 +1,5 @@
-// A child process as the environment: a whole session with the example in Python, and everything that a process can do
-// wrong.
+// A child process as the environment: a whole session with the example in Python, and the mistakes that a process can
+// make.
 #include <sys/wait.h>
 
 #include <cerrno>
@@ -120,14 +120,14 @@ TEST_F(ProcessSession, RefusesConfigsThatAProcessCannotServe) {
     EXPECT_THAT(test::message_of<ConfigError>([&] { run(overrides); }), HasSubstr(expected)) << overrides.front();
 }
 
-/// A process that greets as it should and has its own way with everything else.
+/// A process that greets as it should and answers everything else in its own way.
 class Process : public Session {
  protected:
   Process() {
     folder_.write("task.yaml", task_text());
     task_ = task();
   }
-  /// @param cases lines of Python that follow the greeting. @param before what it does before the greeting.
+  /// @param cases lines of Python that follow the greeting. @param before lines of Python before the greeting.
   std::unique_ptr<ProcessEnvironment> start(const std::string& cases, double timeout_s = 20.0,
                                             const std::string& version = "1", const std::string& before = "pass") {
     const std::string text =
@@ -184,7 +184,7 @@ TEST_F(Process, SaysWhatIsSeenAndHowWell) {
   const SettleResult settle = child->release();
   EXPECT_FALSE(settle.settled);
   EXPECT_EQ(settle.frames, 120);
-  // Mean over what is seen.
+  // Mean over the observed vertices.
   Positions shape = Positions::Zero(seen.positions.rows(), 3);
   shape.col(2).setOnes();
   const double far = (seen.positions.row(1) - shape.row(1)).norm();

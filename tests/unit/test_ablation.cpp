@@ -9,7 +9,7 @@
 namespace weft::test {
 namespace {
 
-// What a session config must hold to be read; no cell of these tests runs a session.
+// The least that a session config must hold to be read; no cell of these tests runs a session.
 constexpr const char* kTask = R"(
 garment: towel.yaml
 material: basic.yaml

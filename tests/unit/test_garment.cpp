@@ -290,7 +290,7 @@ TEST(EdgesOf, ListsEachOnceInOrder) {
   EXPECT_EQ(edges(4, 1), 3);
 }
 
-/// Every pair, in floating point: slow, and right away from degenerate cases.
+/// Counts by checking every pair in floating point: slow, and wrong only in degenerate cases.
 Index count_by_brute_force(const Positions& x, const Faces& faces) {
   const auto edges = edges_of(faces);
   Index count = 0;
@@ -350,7 +350,7 @@ TEST(CountIntersections, FindsAnEdgeThroughATriangle) {
 TEST(CountIntersections, IsZeroForFlatAndForParallelLayers) {
   const Garment shirt = read_garment(ConfigNode::scalar(WEFT_SOURCE_DIR "/configs/garments/tshirt.yaml"));
   EXPECT_EQ(count_intersections(shirt.positions, shirt.faces), 0);
-  // Tilted so that the coordinates of the plane are no round numbers.
+  // Tilted so that the coordinates of the plane are not round numbers.
   Positions tilted = shirt.positions;
   for (Index v = 0; v < tilted.rows(); ++v) tilted(v, 2) = 0.37 * tilted(v, 0) - 0.21 * tilted(v, 1);
   EXPECT_EQ(count_intersections(tilted, shirt.faces), 0);
