@@ -19,7 +19,7 @@ namespace {
 
 using nlohmann::ordered_json;
 
-/// A level: what it is called and what it changes.
+/// A level: its name and its changes.
 struct Level {
   std::string name;
   std::vector<std::pair<std::string, ConfigNode>> changes;  // dotted keys
@@ -38,7 +38,7 @@ std::string level_name(const ConfigNode& value) {
 
 using Changes = std::vector<std::pair<std::string, ConfigNode>>;
 
-/// {planning: {noise: 1}} is {planning.noise: 1}; a plugin slot is replaced as a whole, with its parameters.
+/// {planning: {noise: 1}} becomes {planning.noise: 1}. A plugin slot is replaced as a whole, with its parameters.
 void add_changes(const ConfigNode& node, const std::string& prefix, Changes& changes) {
   for (const auto& key : node.keys()) {
     const ConfigNode value = node.at(key);
@@ -103,7 +103,7 @@ std::vector<std::uint64_t> read_seeds(const ConfigNode& node, const std::uint64_
   return seeds;
 }
 
-/// Index of a level in each factor; -1: as the arm itself.
+/// Index of a level in each factor; -1: the arm's own level.
 std::vector<int> read_baseline(const ConfigNode& node, const std::vector<Factor>& factors) {
   std::vector<int> levels(factors.size(), -1);
   if (node.is_null()) {
@@ -115,7 +115,8 @@ std::vector<int> read_baseline(const ConfigNode& node, const std::vector<Factor>
     for (const auto& level : factor.levels) names.push_back(level.name);
     const std::string wanted = level_name(from);
     const auto found = std::find(names.begin(), names.end(), wanted);
-    if (found == names.end()) from.fail("= " + wanted + " is no level of " + factor.name + nearest_hint(wanted, names));
+    if (found == names.end())
+      from.fail("= " + wanted + " is not a level of " + factor.name + nearest_hint(wanted, names));
     return static_cast<int>(found - names.begin());
   };
   if (node.is_scalar()) {
@@ -147,7 +148,7 @@ struct Table {
 
 struct Comparison {
   BootstrapStatistics own, difference;
-  std::size_t unpaired = 0;  ///< seeds that both arms ran, but not on the same case
+  std::size_t unpaired = 0;  ///< seeds that both arms completed with different cases
 };
 
 Comparison compare(const AblationPlan& plan, const Table& table, std::size_t arm, const std::string& metric) {
@@ -222,7 +223,7 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
     SweepArm arm;
     arm.config = base;
     plan.baseline.push_back(0);
-    // The last factor runs fastest.
+    // The last factor varies fastest.
     std::size_t rest = a, stride = count;
     for (std::size_t f = 0; f < factors.size(); ++f) {
       stride /= factors[f].levels.size();
@@ -234,7 +235,7 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
       plan.baseline[a] += stride * (baseline[f] >= 0 ? static_cast<std::size_t>(baseline[f]) : level);
     }
     if (arm.config.has("seed")) config.fail("sets `seed` of the sessions; `seeds` does that");
-    // A wrong key of a session shows here, before any work.
+    // Refuses wrong keys of a session before any work.
     if (physics) {
       const auto cases = physics_case_names(arm.config);
       if (a == 0) plan.cases = cases;

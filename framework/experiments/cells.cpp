@@ -15,7 +15,7 @@ SweepOutcome run_session_cell(const ConfigNode& config, Host& host) {
   read_params(config, params);
   const double cpu_before = thread_cpu_seconds();
   const SessionResult result = run_configured_session(params, config, host);
-  // With one thread everything but the solvers' own arithmetic runs here, so that others on the machine do not count.
+  // With one thread all work except the solvers' own arithmetic runs here, so other programs do not count.
   const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
   SweepOutcome outcome = session_outcome(result);
   outcome.metrics.emplace_back("cpu_seconds", cpu_seconds);

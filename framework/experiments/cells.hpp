@@ -2,15 +2,15 @@
 #include "experiments/sweep.hpp"
 #include "session/session.hpp"
 
-/// What the cells of `weft ablate` run.
+/// The cells of `weft ablate`.
 namespace weft {
 
-/// Runs a session. Metrics of session_outcome, and `cpu_seconds`. @throws what a session throws.
+/// Runs a session. Returns session_outcome() with the metric `cpu_seconds` added. @throws as the session.
 SweepOutcome run_session_cell(const ConfigNode& session, Host& host);
-/// What a session measured.
+/// The metrics of a session.
 SweepOutcome session_outcome(const SessionResult& result);
-/// Runs case number `seed` of a physics experiment in its `simulator`. Metrics, named "test: quantity": the error as
-/// its bound counts it, the largest where a case has several; and "test: within bounds", 1 if all of the case are.
+/// Runs case number `seed` of a physics experiment in its `simulator`. The metric "test: quantity" is the error as its
+/// bound counts it, or the largest of several. "test: within bounds" is 1 if all errors of the case are in bounds.
 SweepOutcome run_physics_cell(const ConfigNode& experiment, Host& host);
 
 }  // namespace weft

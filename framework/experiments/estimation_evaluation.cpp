@@ -21,9 +21,9 @@ using nlohmann::ordered_json;
 namespace fs = std::filesystem;
 
 constexpr const char* kCaseSchema = "weft estimation case 1";
-constexpr int kCalibrationSweeps = 600;  // quantiles to a few per cent: less than so few cases can tell
+constexpr int kCalibrationSweeps = 600;  // errors of a few per cent in the quantiles, below what so few cases resolve
 
-/// All entries, in the order in which they lie.
+/// All entries in storage order.
 ordered_json numbers(const auto& matrix) {
   auto list = ordered_json::array();
   for (Index i = 0; i < matrix.size(); ++i) list.push_back(json_number(matrix.data()[i]));
@@ -64,7 +64,7 @@ ordered_json json_of(const Spread& s) {
   return {{"mean", json_number(s.mean)}, {"sd", json_number(s.sd)}, {"median", json_number(s.median)}};
 }
 
-/// One method's figures: Table 1 and what it leaves out.
+/// The figures of one method: those of Table 1 and more.
 ordered_json estimation_figures(const EvaluationColumn& column, std::size_t arm) {
   std::vector<MaterialProperties> truth;
   std::vector<MaterialKnowledge> last;
@@ -146,8 +146,7 @@ ordered_json estimation_cases(const EvaluationColumn& column, std::size_t arm) {
   return cases;
 }
 
-/// The manipulation of a fresh case. A draw that never releases, or fails, is no manipulation to learn from: the next
-/// one is taken.
+/// The manipulation of a fresh case. A draw that fails or never releases is skipped.
 Example make_released(const Task& task, const DataParams& data, std::uint64_t seed, Host& host) {
   const auto simulator = host.create<Simulator>(task.simulator);
   for (std::int64_t attempt = 0; attempt < 50; ++attempt) {
@@ -223,7 +222,7 @@ SweepPlan estimation_evaluation(const ConfigNode& session, const std::vector<std
   DataParams copy = data;
   std::string made;
   if (!cases.dataset) {
-    // What the fresh examples are drawn from is no part of a session's config, and belongs to the rows' identity.
+    // The distribution of fresh examples is not in the session's config, but belongs to the identity of the rows.
     const auto text =
         describe_params_erased(&copy, [](void* p, ParamVisitor& v) { static_cast<DataParams*>(p)->visit(v); });
     for (const auto& one : text) made += " " + one.name + "=" + one.default_value;
@@ -238,7 +237,7 @@ SweepPlan estimation_evaluation(const ConfigNode& session, const std::vector<std
     arm.config = session.with("description", ConfigNode::quoted(plan.description))
                      .with("estimation.method", ConfigNode::quoted(method));
     SessionParams params;
-    read_params(arm.config, params);  // a wrong method shows here
+    read_params(arm.config, params);  // refuses a wrong method
     plan.arms.push_back(std::move(arm));
   }
   return plan;
@@ -288,14 +287,14 @@ void write_estimation_shapes(const EvaluationColumn& column, const Garment& garm
   for (const auto& row : column.rows) {
     if (row.arm != 0) continue;
     const fs::path kept = shape_file(folder, row.seed, column.plan.arms[0].levels.front());
-    // A failed case has none, and rows of before shapes were kept have none either.
+    // Failed cases have no shapes, and neither have rows of older versions.
     if (row.failure.empty() && fs::exists(kept)) {
       const auto values = Hdf5File::open(kept).read_float("/shapes");
       shapes.insert(shapes.end(), values.begin(), values.end());
     }
     first.push_back(static_cast<std::int64_t>(shapes.size()) / (vertices * 3));
   }
-  if (shapes.empty()) return;  // nothing to look at
+  if (shapes.empty()) return;
   auto file = create_cases_file(path, garment);
   file.write("/estimation/shapes", {static_cast<Index>(first.back()), vertices, 3}, shapes.data());
   file.write("/estimation/first", {static_cast<Index>(first.size())}, first.data());
@@ -399,11 +398,12 @@ PropertyVector calibrate_deviations(const std::vector<MaterialPosterior>& poster
       knowledge.push_back(interval_of(posterior.widened(candidate), kCalibrationSweeps));
     const IntervalFigures f = interval_figures(knowledge, truth, property);
     const double miss = std::max(std::abs(f.coverage50 - 0.5), std::abs(f.coverage80 - 0.8));
-    // Misses below what so few cases can tell count alike; the score decides among them.
+    // Coverage errors below the resolution of so few cases count as equal. The score decides among them.
     const double noise = 0.5 / std::sqrt(static_cast<double>(posteriors.size()));
     return std::max(miss, 0.5 * noise) + 1e-3 * f.score;
   };
-  // Properties interact through the posteriors' correlations and the box only: two rounds, the second one finer.
+  // Properties interact only through the posteriors' correlations and the box, so two rounds are enough; the second one
+  // is finer.
   for (const auto& [reach, count] : {std::pair{8.0, 13}, {1.5, 9}}) {
     for (Index p = 0; p < 4; ++p) {
       const double middle = scale(p);

@@ -5,8 +5,8 @@
 
 namespace weft {
 
-/// An experiment file: a task (usually by `extends:`) and what to do with it. Generate, train and evaluate read the
-/// same file, so that a garment is learned with one file.
+/// An experiment file: a task (usually by `extends:`), its data and its evaluation. `weft generate`, `train` and
+/// `evaluate` read the same file, so that one file is enough to learn a garment.
 struct ExperimentParams : SessionParams {
   DataParams data;
   std::filesystem::path dataset;
@@ -15,9 +15,9 @@ struct ExperimentParams : SessionParams {
   template <class Visitor>
   void visit(Visitor& v) {
     SessionParams::visit(v);
-    v.group("data", data, "How examples are made.", Decides::examples);
+    v.group("data", data, "The distribution of the examples.", Decides::examples);
     v("dataset", dataset, "Folder of the examples, for commands that read them.");
-    v.group("evaluation", evaluation, "What `weft evaluate prediction` measures.");
+    v.group("evaluation", evaluation, "Settings of `weft evaluate prediction`.");
   }
 };
 

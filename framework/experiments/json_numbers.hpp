@@ -5,7 +5,7 @@
 
 namespace weft {
 
-/// JSON has no NaN: null stands for what is not finite.
+/// JSON has no NaN, so null replaces non-finite numbers.
 inline nlohmann::ordered_json json_number(double value) {
   return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json(nullptr);
 }

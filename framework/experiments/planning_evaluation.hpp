@@ -9,16 +9,16 @@
 /// `weft evaluate planning`: the error of whole sessions against the width of the knowledge (Fig. 3).
 namespace weft {
 
-/// Fig. 3: one arm per width, a closed-loop session per arm and case; c drawn as in section 4. Goals are what a random
-/// trajectory or the example's controls make of the case's true material.
+/// Fig. 3: one arm per width, and a closed-loop session per arm and case; c is drawn as in section 4. A goal is the
+/// result of a random trajectory, or of the example's controls, with the case's true material.
 /// @param session config of the sessions; `knowledge` and `drawn_width` are set here.
 SweepPlan planning_evaluation(const ConfigNode& session, const std::vector<double>& widths,
                               const EvaluationCases& cases);
-/// Runs a cell of it, and keeps goal and final shape in folder/shapes (see write_planning_shapes).
+/// Runs one cell and keeps goal and final shape in folder/shapes (see write_planning_shapes).
 SweepRunner planning_runner(const EvaluationCases& cases, const std::filesystem::path& folder);
 
-/// planning.json, planning.csv (docs/file-formats.md). The first column has the keys at the top level; the others are
-/// under `columns`.
+/// planning.json, planning.csv (docs/file-formats.md). The keys of the first column are at the top level; those of the
+/// others are under `columns`.
 std::string planning_evaluation_json(const std::vector<EvaluationColumn>& columns);
 std::string planning_evaluation_csv(const std::vector<EvaluationColumn>& columns);
 /// A table for people.

@@ -7,7 +7,7 @@
 namespace weft {
 namespace {
 
-/// What a lookup or a linear model may know before the fold: the material, and the path of the hands by progress.
+/// The features that lookup and linear model may use: the material, and the path of the hands by progress.
 Vector describe_example(const Example& e, const Trajectory& trajectory) {
   constexpr Index kPoints = 6;
   const Index s = e.states.cols();

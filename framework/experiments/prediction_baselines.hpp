@@ -9,11 +9,11 @@
 
 namespace weft {
 
-/// Predictions of the settled shape that need no network: persistence (the shape before the last segment), start_shape,
-/// and those learned from the train split: mean_shape, linear_pca, nearest_example and nearest_example_oracle, which is
-/// chosen by the truth.
+/// Predictions of the settled shape without a network: persistence (the shape before the last segment), start_shape.
+/// Also mean_shape, linear_pca, nearest_example and nearest_example_oracle, which learn from the train split. The
+/// oracle chooses its example by the true shape.
 /// @param test positions in dataset.examples. @param components of linear_pca.
-/// @param learn whether the train split may be learned from: not when it is what is predicted.
+/// @param learn false if the train split is the one to predict: then only the first two.
 std::map<std::string, PredictionFigures> measure_baselines(const Dataset& dataset, const std::vector<std::size_t>& test,
                                                            const Trajectory& trajectory, Index components, bool learn);
 

@@ -55,7 +55,7 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
   if (chosen.empty()) throw ConfigError("the dataset has no example in split " + params.split + "; make more examples");
 
   PredictionEvaluation result;
-  // The three ways to ask, over all of their steps at once.
+  // The three kinds of prediction, with all of their steps.
   struct Way {
     bool from_random, has_knowledge;
     PredictionFigures* settled;

@@ -12,7 +12,7 @@
 
 namespace weft {
 
-/// What `weft evaluate prediction` measures.
+/// Settings of `weft evaluate prediction`.
 struct PredictionEvaluationParams {
   std::string split = "test";
   std::int64_t max_examples = 0;
@@ -25,41 +25,41 @@ struct PredictionEvaluationParams {
   void visit(Visitor& v) {
     v("split", split, choice({"train", "validation", "test", "all"}),
       "Examples to predict; `all` is for datasets that the model was neither trained nor calibrated on.");
-    v("max_examples", max_examples, range(0, 1e9), "Use that many of them; 0: all.", Decides::nothing);
+    v("max_examples", max_examples, range(0, 1e9), "Largest number of these examples; 0: all.", Decides::nothing);
     v("batch", batch, range(1, 4096), "Cases per call of the predictor.");
     v("random_starts", random_starts, range(1, 200),
-      "Segments of an example that predictions from within it begin with: as many as it has, not its first.");
+      "Number of start segments per example for predictions that begin after its first segment.");
     v("baselines", baselines,
-      "Also measure the baselines; those that learn from the train split only where it is not what is predicted.");
+      "Also measure the baselines. Those that learn from the train split are left out if it is the split to predict.");
     v("linear_components", linear_components, range(1, 512), "PCA components of the linear baseline.");
   }
 };
 
-/// A released example, predicted from its start with its material known.
+/// A released example, predicted from its start with known material.
 struct PredictedExample {
   std::int64_t index = 0;  ///< in the dataset
   Index segments = 0;      ///< predicted ahead
   double error_mm = 0.0;   ///< mean vertex distance of the settled shape
-  double sigma_mm =
-      0.0;  ///< root of a vertex's three variances, its mean over the vertices: what error_mm should be like
+  /// Mean over the vertices of the root of their three summed variances. If sigma is right, error_mm is near it.
+  double sigma_mm = 0.0;
 };
 
 struct PredictionEvaluation {
   PredictionFigures from_start, from_random, no_knowledge;  ///< the settled shape
   std::vector<PredictionFigures> by_step, by_step_from_random, by_step_no_knowledge;
   std::map<std::string, PredictionFigures> baselines;  ///< settled shape; only n, mean_mm and median_mm
-  Index failed = 0;                                    ///< cases that the predictor could not predict
-  Index shortened = 0;   ///< cases that go on beyond the predictor's max_segments(): not predicted to their end
+  Index failed = 0;                                    ///< cases without a prediction
+  Index shortened = 0;   ///< cases longer than the predictor's max_segments(), so not predicted to their end
   double seconds = 0.0;  ///< inside predict()
-  std::vector<PredictedExample> examples;     ///< those that from_start counts
+  std::vector<PredictedExample> examples;     ///< those in from_start
   std::vector<Positions> settled, predicted;  ///< of the first examples, for the page
 };
 
-/// Measures a bound predictor on a split of a dataset: the paper's accuracy claims for its network, and more.
-/// @throws ConfigError when the split is empty.
+/// Measures a bound predictor on a split of a dataset. The figures include the paper's accuracy claims for its network.
+/// @throws ConfigError if the split is empty.
 PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
                                          const PredictionEvaluationParams& params, std::uint64_t seed, Host& host);
-/// prediction.json (design section 5; docs/file-formats.md).
+/// prediction.json (docs/file-formats.md).
 std::string prediction_evaluation_json(const PredictionEvaluation& result);
 /// cases.h5 of the page: settled and predicted shapes of the first of prediction.json's `cases`.
 void write_prediction_shapes(const PredictionEvaluation& result, const Garment& garment,

@@ -10,10 +10,10 @@ namespace weft {
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 double mean_of(const std::vector<double>& values);
-/// Linear between the sorted values; NaN if there is none. @param at in [0, 1].
+/// Linear between the sorted values; NaN without values. @param at in [0, 1].
 double quantile_of(std::vector<double> values, double at);
 
-/// NaN where there are too few values.
+/// An entry is NaN if there are too few values for it.
 struct Spread {
   double mean = kNaN, sd = kNaN, median = kNaN;
 };
@@ -24,7 +24,7 @@ struct BootstrapStatistics : Spread {
   std::size_t n = 0;
   std::pair<double, double> mean_interval{kNaN, kNaN}, median_interval{kNaN, kNaN};
 };
-/// @param key of the bootstrap's random stream: same values, same key, same bits.
+/// @param key of the bootstrap's random stream. The same values and key give the same bits.
 BootstrapStatistics bootstrap_statistics(const std::vector<double>& values, std::int64_t resamples, std::uint64_t key);
 
 }  // namespace weft

@@ -27,7 +27,7 @@ std::string cell_name(const SweepPlan& plan, std::size_t arm, std::uint64_t seed
          hex_digits(fnv1a(plan.arms[arm].name)).substr(0, 8) + ".json";
 }
 
-/// What decides a cell's numbers; a row with another one belongs to another sweep.
+/// A hash of all that decides a cell's numbers. A row with another hash belongs to another sweep.
 std::string cell_fingerprint(const ConfigNode& config) { return hex_digits(fnv1a(config.to_yaml())); }
 
 void write_row(const SweepPlan& plan, const SweepRow& row, const std::string& fingerprint) {
@@ -59,7 +59,7 @@ SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, 
     std::ifstream stream(file, std::ios::binary);
     const ordered_json json = ordered_json::parse(stream);
     if (json.at("schema") != kRowSchema && json.at("schema") != kAblationSchema)
-      throw ConfigError(file.string() + ": is no row of a sweep");
+      throw ConfigError(file.string() + ": is not a row of a sweep");
     if (json.at("arm") != plan.arms[arm].name || json.at("seed") != seed || json.at("config") != fingerprint)
       throw ConfigError(file.string() +
                         ": belongs to a sweep with another config; give another --out, or remove its folder");
@@ -99,7 +99,7 @@ std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& optio
   fs::create_directories(cells, problem);
   if (!fs::is_directory(cells)) throw Error(cells.string() + ": cannot be made: " + problem.message());
 
-  // Seed by seed, so that what an unfinished run leaves can be compared already.
+  // Seed by seed, so that the rows of an unfinished run can be compared.
   struct Cell {
     std::size_t arm;
     std::uint64_t seed;
@@ -124,7 +124,7 @@ std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& optio
   const std::size_t total = rows.size() + todo.size();
   std::atomic<std::size_t> next{0};
   std::mutex mutex;
-  std::exception_ptr error;  // of writing rows: nothing else stops the others
+  std::exception_ptr error;  // from writing a row; only this stops the other cells
   const auto cancelled = [&] { return options.cancel != nullptr && *options.cancel; };
   const auto work = [&] {
     for (std::size_t i = next++; i < todo.size(); i = next++) {
@@ -143,9 +143,9 @@ std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& optio
         row.failure = failure.what();
         if (row.failure.empty()) row.failure = "failed without a message";
       } catch (...) {
-        row.failure = "threw something that is no std::exception";
+        row.failure = "threw something that is not a std::exception";
       }
-      if (cancelled()) return;  // a cell that was told to end early is no result
+      if (cancelled()) return;  // a cell that ended early has no valid result
       const std::lock_guard lock(mutex);
       if (error) return;
       try {

@@ -37,7 +37,7 @@ std::vector<std::string> words_of(const std::string& text) {
 
 std::vector<double> flat(const Controls& m) { return {m.data(), m.data() + m.size()}; }
 
-/// All arrays of a shard as they lie in the file: examples one after the other.
+/// All arrays of a shard as in the file: examples one after the other.
 struct Columns {
   std::vector<std::int64_t> index, segments, released, settled, settle_frames;
   std::vector<double> settle_speed, strain, q, controls, states, targets;
@@ -102,7 +102,7 @@ DatasetHeader read_header(const Hdf5File& file, const fs::path& path) {
     h.seed = std::stoull(file.read_text("/seed"));
     h.garment_hash = std::stoull(file.read_text("/garment/hash"));
   } catch (const std::logic_error&) {
-    refuse(path, "/seed or /garment/hash is no number");
+    refuse(path, "/seed or /garment/hash is not a number");
   }
   h.control_names = words_of(file.read_text("/names/controls"));
   h.state_names = words_of(file.read_text("/names/states"));
@@ -139,7 +139,7 @@ void expect_shape(const Hdf5File& file, const fs::path& path, const char* name, 
   }
 }
 
-/// The columns with an entry per example, and their failures.
+/// The columns with one entry per example, and the failures.
 Columns read_examples(const Hdf5File& file, const fs::path& path) {
   Columns c;
   const auto expect = [&](const char* name, const std::vector<Index>& wanted) {
@@ -284,7 +284,7 @@ void write_shard(const fs::path& path, const Shard& shard) {
 
 Shard read_shard(const fs::path& path) {
   const auto file = Hdf5File::open(path);
-  if (!file.has("/schema")) refuse(path, "is no weft dataset");
+  if (!file.has("/schema")) refuse(path, "is not a weft dataset");
   if (const auto schema = file.read_text("/schema"); schema != kSchema) {
     refuse(path, "has the schema '" + schema + "', this program reads '" + kSchema + "'");
   }
@@ -304,7 +304,7 @@ std::string shard_name(std::int64_t number) {
 }
 
 std::vector<fs::path> list_shards(const fs::path& folder) {
-  if (!fs::is_directory(folder)) refuse(folder, "is no folder");
+  if (!fs::is_directory(folder)) refuse(folder, "is not a folder");
   std::vector<fs::path> files;
   for (const auto& entry : fs::directory_iterator(folder)) {
     const auto name = entry.path().filename().string();
@@ -325,8 +325,8 @@ Dataset load_dataset(const fs::path& folder, std::size_t max_examples) {
     require_same(file, shard.header, dataset.header);
     for (auto& e : shard.examples) {
       if (!dataset.examples.empty() && e.index <= dataset.examples.back().index) {
-        refuse(file,
-               "example " + std::to_string(e.index) + " is in another file, too; `weft dataset merge` sorts this out");
+        refuse(file, "example " + std::to_string(e.index) +
+                         " is also in another file; `weft dataset merge` removes duplicates");
       }
       if (max_examples == 0 || dataset.examples.size() < max_examples) dataset.examples.push_back(std::move(e));
     }
@@ -344,7 +344,7 @@ void append_dataset(Dataset& dataset, Dataset other) {
   if (h.garment_hash != header.garment_hash) fail("the garments differ");
   if (h.control_names != header.control_names || h.state_names != header.state_names || h.hands != header.hands)
     fail("the trajectories differ");
-  // An example's split goes by its number alone.
+  // An example's split depends on its number alone.
   if (h.validation_fraction != header.validation_fraction || h.test_fraction != header.test_fraction)
     fail("data.validation_fraction or data.test_fraction differ");
   if (dataset.appended.empty()) dataset.begins = {0};
@@ -361,7 +361,7 @@ void append_dataset(Dataset& dataset, Dataset other) {
 
 namespace {
 
-/// Examples of several files by the number of the file they belong in.
+/// Examples of several files, by the number of the file that they belong in.
 std::map<std::int64_t, std::vector<fs::path>> canonical_files(const std::vector<fs::path>& folders,
                                                               DatasetHeader& header) {
   std::map<std::int64_t, std::vector<fs::path>> files;

@@ -13,27 +13,27 @@ struct Shard {
   DatasetHeader header;
   std::vector<Example> examples;
 };
-/// Whole or absent; the bytes depend on the content alone.
+/// The file is whole or absent. Its bytes depend on the content alone.
 void write_shard(const std::filesystem::path& file, const Shard& shard);
 /// Checks schema, shapes, finite numbers and the checksum of the content. @throws ConfigError naming file and reason.
 Shard read_shard(const std::filesystem::path& file);
 /// "shard-00012.h5"
 std::string shard_name(std::int64_t number);
-/// The shard files of a folder, sorted. @throws ConfigError if it is no folder.
+/// The shard files of a folder, sorted. @throws ConfigError if it is not a folder.
 std::vector<std::filesystem::path> list_shards(const std::filesystem::path& folder);
 
 /// Reads and checks every shard of a folder.
-/// @param max_examples stop after that many; 0: all.
-/// @throws ConfigError for a damaged shard (refused whole), shards of different datasets, or a folder without shards.
+/// @param max_examples stop after this many; 0: all.
+/// @throws ConfigError for a damaged shard, shards of different datasets, or a folder without shards.
 Dataset load_dataset(const std::filesystem::path& folder, std::size_t max_examples = 0);
-/// Adds the examples of another dataset of the same task, made with another distribution or seed; each keeps its split.
-/// @throws ConfigError when garment, trajectory, hands or the shares of the splits differ, or for the same dataset twice.
+/// Adds the examples of another dataset of the same task, with another distribution or seed. Examples keep their split.
+/// @throws ConfigError if garment, trajectory, hands or the shares of the splits differ, or for the same dataset twice.
 void append_dataset(Dataset& dataset, Dataset other);
 
 /// Copies the shards of several folders of one dataset into one. @return number of files.
-/// @throws ConfigError when they are of different datasets, or two hold different examples under one number.
+/// @throws ConfigError if the datasets differ, or if two folders hold different examples with the same number.
 std::int64_t merge_datasets(const std::vector<std::filesystem::path>& from, const std::filesystem::path& to);
-/// Writes the three splits as datasets of their own: to/train, to/validation, to/test. @return examples of each.
+/// Writes each split as a dataset: to/train, to/validation, to/test. @return the number of examples in each.
 std::array<std::int64_t, 3> split_dataset(const std::filesystem::path& from, const std::filesystem::path& to);
 
 }  // namespace weft

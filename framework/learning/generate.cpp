@@ -87,7 +87,7 @@ Example make_example(Simulator& simulator, const Task& task, const DataParams& p
 
 namespace {
 
-/// A run that was killed leaves its temporary file. Those of other parts may be in the making.
+/// A killed run leaves its temporary file. The temporary files of other parts may be in use.
 void remove_temporaries(const GenerateOptions& options) {
   for (const auto& entry : fs::directory_iterator(options.folder)) {
     long long number = 0;
@@ -105,8 +105,8 @@ struct ShardRange {
   std::int64_t count() const { return end - first; }
 };
 
-/// Whether the file holds the examples of its range; they count as kept, then. One that is damaged is reported.
-/// @throws ConfigError when it belongs to another dataset.
+/// Whether the file holds the examples of its range. If so, they count as kept. A damaged file is reported.
+/// @throws ConfigError if it belongs to another dataset.
 bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHeader& header, GenerateReport& report,
                  bool& warned, Host& host) {
   if (!fs::exists(file)) return false;
@@ -138,7 +138,7 @@ bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHea
   return true;
 }
 
-/// The files of this part that are yet to be made.
+/// The missing files of this part.
 std::vector<ShardRange> missing_files(const DatasetHeader& header, std::int64_t size, const GenerateOptions& options,
                                       GenerateReport& report, Host& host) {
   std::vector<ShardRange> missing;
@@ -153,7 +153,7 @@ std::vector<ShardRange> missing_files(const DatasetHeader& header, std::int64_t 
   return missing;
 }
 
-/// Simulators for the threads that make examples; one is made when all others are in use.
+/// Simulators for the threads that make examples. A new one is made if all others are in use.
 class SimulatorPool {
  public:
   SimulatorPool(Host& host, const ConfigNode& slot) : host_(host), slot_(slot) {}
@@ -196,7 +196,7 @@ GenerateReport generate_dataset(const Task& task, const DataParams& params, cons
   for (const ShardRange& range : missing) total += range.count();
 
   SimulatorPool pool(host, task.simulator);
-  // Several files at a time when there are many threads, so that few of them wait for the last example of a file.
+  // With many threads several files are made at a time, so that few threads wait for the last example of a file.
   const auto wave = static_cast<std::size_t>(std::max(1, host.threads() / 8));
   for (std::size_t at = 0; at < missing.size() && !report.cancelled; at += wave) {
     const std::size_t files = std::min(wave, missing.size() - at);

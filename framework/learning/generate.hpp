@@ -25,14 +25,14 @@ struct DataParams {
   void visit(Visitor& v) {
     v.group("distribution", distribution, "Random controls around the default trajectory.");
     v("amplitude_low", amplitude_low, range(0, 10),
-      "Each example multiplies drift, walk and jitter by a factor drawn from here ...");
-    v("amplitude_high", amplitude_high, range(0, 10), "... to here: calm examples as well as wild ones.");
+      "Lower end of the range for each example's factor on drift, walk and jitter.");
+    v("amplitude_high", amplitude_high, range(0, 10), "Upper end of that range.");
     v("jitter", jitter, range(0, 10),
       "Standard deviation of noise that is independent for each segment, in units of the control's scale.");
     v("max_segments", max_segments, range(1, 200, "segments"),
-      "b: an example that is not released by then ends unreleased.");
+      "b: an example ends after this many segments, even without a release.");
     v("shard_examples", shard_examples, range(1, 4096), "Examples per file.");
-    v("validation_fraction", validation_fraction, range(0, 0.5), "Share of the examples held out to steer training.");
+    v("validation_fraction", validation_fraction, range(0, 0.5), "Share of the examples held out for model selection.");
     v("test_fraction", test_fraction, range(0, 0.5), "Share of the examples held out for the final figures.");
   }
 };
@@ -43,8 +43,8 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
 struct GenerateOptions {
   std::int64_t examples = 0;
   std::filesystem::path folder;
-  std::int64_t shard_index = 0,
-               shard_count = 1;  ///< this machine makes the files with number % shard_count == shard_index
+  /// This machine makes the files with number % shard_count == shard_index.
+  std::int64_t shard_index = 0, shard_count = 1;
 };
 struct GenerateReport {
   std::int64_t made = 0, kept = 0, failed = 0, files = 0, refused = 0;
@@ -54,12 +54,12 @@ struct GenerateReport {
 /// Called after every file.
 using GenerateProgress = std::function<void(const GenerateReport&, std::int64_t total)>;
 
-/// Example `index`: a function of (seed, index), the task and the parameters alone.
+/// Makes example `index`. It depends on (seed, index), the task and the parameters alone.
 Example make_example(Simulator& simulator, const Task& task, const DataParams& params, std::uint64_t seed,
                      std::int64_t index);
-/// Makes the shards of [0, examples) that are missing. Files that are complete and belong to this dataset are kept;
-/// damaged ones are reported and made again. Killed at any moment it leaves only complete files.
-/// @throws ConfigError when the folder holds another dataset.
+/// Makes the missing shards of [0, examples). Complete files of this dataset are kept; damaged ones are reported and
+/// made again. If the process is killed, only complete files remain.
+/// @throws ConfigError if the folder holds another dataset.
 GenerateReport generate_dataset(const Task& task, const DataParams& params, const DatasetHeader& header,
                                 const GenerateOptions& options, Host& host, const GenerateProgress& progress = {});
 

@@ -51,7 +51,7 @@ std::string held_out_warning(const Dataset& dataset, std::optional<Split> split,
               " split holds no training examples of this model";
     }
   } else {
-    // Equal numbers of one seed are, whatever else the configs say, much the same example.
+    // Examples with equal number and seed are much the same, even if the configs differ.
     const auto count = count_of([&](std::uint64_t seed, std::int64_t index) {
       return std::any_of(trained_on.begin(), trained_on.end(), [&](const auto& origin) {
         return origin.seed == seed && origin.split(index) < split.value_or(Split::test);  // train < validation < test

@@ -44,7 +44,7 @@ class PointGrid {
     cells_.resize(static_cast<std::size_t>(columns_ * rows_));
   }
   void add(const Vec2& p) { cells_[cell_of(p)].push_back(p); }
-  /// Is some point nearer than `radius` (<= the cell size)?
+  /// Whether a point is nearer than `radius` (<= the cell size).
   bool near(const Vec2& p, double radius) const {
     const std::int64_t cx = column(p);
     const std::int64_t cy = row(p);
@@ -100,7 +100,7 @@ class Mesher {
   const std::map<std::string, int>& names() const { return names_; }
 
  private:
-  /// Splits each run between two corners so that every piece is about as long as the size there asks for.
+  /// Splits each run between two corners into pieces of about the target length there.
   void place_boundary(const Outline& outline) {
     const auto& all = outline.points;
     const std::size_t n = all.size();
@@ -163,7 +163,7 @@ class Mesher {
     return best;
   }
 
-  /// First guess: points of a triangular lattice of the finest size, each taken unless one taken before is too near.
+  /// First guess: the points of a triangular lattice of the finest size, except those too near to an earlier one.
   void fill() {
     Vec2 low = boundary_[0];
     Vec2 high = boundary_[0];
@@ -196,7 +196,7 @@ class Mesher {
     for (const Triangle& t : delaunay(points_)) {
       const bool all_fixed = static_cast<std::size_t>(std::max({t[0], t[1], t[2]})) < fixed_;
       if (all_fixed && !inside(boundary_, (at(t[0]) + at(t[1]) + at(t[2])) / 3.0)) continue;
-      // Three vertices of one straight side, off the line by the grid's rounding.
+      // Its vertices are on one straight side, and off the line only by the grid's rounding.
       if (all_fixed && min_angle(at(t[0]), at(t[1]), at(t[2])) < 1e-3) continue;
       triangles_.push_back(t);
     }
@@ -210,7 +210,8 @@ class Mesher {
     edges_.erase(std::unique(edges_.begin(), edges_.end()), edges_.end());
   }
 
-  /// Persson and Strang's truss: edges shorter than wanted push. Every few steps crowded points go and gaps are filled.
+  /// Persson and Strang's truss: edges below the target length push. Every few steps crowded points are removed and
+  /// gaps are filled.
   void relax() {
     constexpr int kSteps = 160;
     constexpr int kControlUntil = 100;
@@ -280,7 +281,7 @@ class Mesher {
     return true;
   }
 
-  /// Raises the smallest angles: each free vertex of a bad star tries places around it and takes the best.
+  /// Raises the smallest angles: each free vertex of a bad star tries positions around it and takes the best.
   void polish() {
     for (int round = 0; round < 30; ++round) {
       triangulate();
@@ -315,7 +316,7 @@ class Mesher {
     }
   }
 
-  /// Smallest angle of the triangles; negative when one is inverted.
+  /// Smallest angle of the triangles; negative if one is inverted.
   double star_quality(const std::vector<int>& star) const {
     double quality = std::numbers::pi;
     for (const int t : star) {
@@ -368,7 +369,7 @@ std::uint64_t hilbert(double x, double y) {
   return d;
 }
 
-/// Indices 0..n-1 of places in the plane in the order of the Hilbert curve.
+/// Indices 0..n-1 of the points in the order of the Hilbert curve.
 std::vector<int> curve_order(const std::vector<Vec2>& places) {
   Vec2 low = places[0];
   Vec2 high = places[0];
@@ -430,7 +431,7 @@ GeneratedMesh generate_mesh(const Outline& outline, const MeshSize& size) {
   const double finest = size.fine_edge_m > 0.0 ? std::min(size.edge_m, size.fine_edge_m) : size.edge_m;
   const double expected = signed_area(outline) / (0.866 * finest * finest);
   if (!(expected <= kMaxVertices)) {
-    throw ConfigError("an edge length of " + std::to_string(finest) + " m asks for up to " +
+    throw ConfigError("an edge length of " + std::to_string(finest) + " m needs up to " +
                       std::to_string(static_cast<std::int64_t>(std::min(expected, 1e15))) +
                       " vertices, must be at most " + std::to_string(static_cast<int>(kMaxVertices)));
   }
@@ -448,7 +449,7 @@ GeneratedMesh generate_mesh(const Outline& outline, const MeshSize& size) {
   mesh.rest.resize(count, 2);
   for (std::size_t i = 0; i < points.size(); ++i) {
     for (Index k = 0; k < 2; ++k) {
-      // Whole micrometres: the file is short and reads back to the same bits.
+      // Whole micrometres, so that the file is short and reads back to the same bits.
       const double value = std::round(points[i][k] * 1e6) / 1e6 + 0.0;
       mesh.rest(number[i], k) = value;
       mesh.positions(number[i], k) = value;
@@ -466,14 +467,14 @@ GeneratedMesh generate_mesh(const Outline& outline, const MeshSize& size) {
     const Triangle& t = mesher.triangles()[static_cast<std::size_t>(face_order[f])];
     std::array<int, 3> v{};
     for (std::size_t k = 0; k < 3; ++k) v[k] = number[static_cast<std::size_t>(t[k])];
-    // Smallest index first, so that the file does not depend on where the triangulation began.
+    // Smallest index first, so that the file does not depend on the triangulation's first vertex.
     std::rotate(v.begin(), std::min_element(v.begin(), v.end()), v.end());
     for (Index k = 0; k < 3; ++k) mesh.faces(static_cast<Index>(f), k) = v[static_cast<std::size_t>(k)];
   }
   for (const auto& [name, i] : mesher.names()) result.vertices[name] = number[static_cast<std::size_t>(i)];
   result.quality = measure_mesh(mesh.rest, mesh.faces);
   mesh.source = "generated";
-  make_garment(mesh, "generated", result.vertices);  // our own output obeys the rules for everyone's input
+  make_garment(mesh, "generated", result.vertices);  // checks the output by the same rules as any input
   return result;
 }
 

@@ -6,11 +6,11 @@
 #include "meshes/outlines.hpp"
 #include "weft/garment.hpp"
 
-/// Makes a mesh of well-shaped triangles from an outline. Same input, same bits.
+/// Makes a mesh of well-shaped triangles from an outline. The same input gives the same bits.
 namespace weft {
 
-/// Wanted edge length: `edge_m`, and `fine_edge_m` within `fine_band_m` of any of the fine lines, growing by at most
-/// `growth` m per m in between.
+/// The target edge length: `fine_edge_m` within `fine_band_m` of a fine line, `edge_m` far from all of them. In between
+/// it grows by at most `growth` m per m.
 struct MeshSize {
   struct Line {
     Vec2 a, b;
@@ -39,8 +39,8 @@ struct GeneratedMesh {
 
 /// Triangulates the outline: DistMesh (Persson and Strang 2004) with the boundary vertices placed beforehand, density
 /// control, and a last pass that raises the smallest angles. Vertices and faces are numbered along a Hilbert curve.
-/// @throws ConfigError for an outline that is no simple counter-clockwise polygon or too fine for its edge length;
-///         more than 200,000 expected vertices are refused.
+/// @throws ConfigError for an outline that is not a simple counter-clockwise polygon, details finer than the edge
+/// length, or more than 200,000 expected vertices.
 GeneratedMesh generate_mesh(const Outline& outline, const MeshSize& size);
 
 }  // namespace weft

@@ -13,7 +13,7 @@ void require(bool condition, const std::string& message) {
   if (!condition) throw ConfigError(message);
 }
 
-/// A point of the outline and its mirror image at the other side of x = 0, with left_/right_ names.
+/// Adds to each point its mirror image on the other side of x = 0, with left_/right_ names.
 /// The outline runs counter-clockwise: up on the right side, down on the left.
 Outline mirrored(const std::vector<Outline::Point>& right_side) {
   Outline outline;
@@ -92,12 +92,13 @@ Outline shirt_outline(const ShirtSize& size) {
   const Vec2 sleeve_bottom = sleeve_top + size.sleeve_width_m * across;
   const Vec2 armpit(body, shoulder_point.y() - size.armhole_m);
   require(armpit.y() > 0.0, "armhole_m = " + std::to_string(size.armhole_m) + " reaches below the bottom hem");
-  require(sleeve_bottom.x() > body, "sleeve_width_m = " + std::to_string(size.sleeve_width_m) +
-                                        " reaches into the body: longer sleeves, less sleeve_angle_deg or narrower");
+  require(sleeve_bottom.x() > body,
+          "sleeve_width_m = " + std::to_string(size.sleeve_width_m) +
+              " reaches into the body; make the sleeves longer or narrower, or sleeve_angle_deg smaller");
   require(size.neck_depth_m < size.length_m, "neck_depth_m reaches below the bottom hem");
   std::vector<Outline::Point> right{
       {{body, 0.0}, "body_bottom"}, {armpit, "armpit"}, {sleeve_bottom, "sleeve_bottom"}, {sleeve_top, "sleeve_top"}};
-  // A bend in the shoulder line is a corner; a straight one needs no vertex there.
+  // A bend in the shoulder line needs a corner; a straight line does not.
   if (std::abs(size.sleeve_angle_deg - size.shoulder_angle_deg) > 1.0) right.push_back({shoulder_point, "shoulder"});
   right.push_back({{neck, size.length_m}, "collar"});
   constexpr int kCurve = 16;

@@ -9,8 +9,8 @@
 /// x = left to right, y = bottom to top, centred in x; "left" is the side at negative x.
 namespace weft {
 
-/// A simple polygon, counter-clockwise. Corners become vertices, with their names; the points between two corners only
-/// shape the curve, on which the mesher places its own vertices.
+/// A simple, counter-clockwise polygon. Corners become vertices with their names. The points between two corners only
+/// shape the curve; the mesher places its own vertices on it.
 struct Outline {
   struct Point {
     Vec2 at;                ///< m
@@ -20,7 +20,7 @@ struct Outline {
   std::vector<Point> points;
 };
 
-/// Area enclosed, m^2; positive where the outline runs counter-clockwise.
+/// Enclosed area, m^2; positive if the outline runs counter-clockwise.
 double signed_area(const Outline& outline);
 /// @throws ConfigError unless the outline is a simple, counter-clockwise polygon of at least 3 corners.
 void check_outline(const Outline& outline);
@@ -48,14 +48,14 @@ struct ShirtSize {
   double neck_depth_m = 0.07;
   template <class Visitor>
   void visit(Visitor& v) {
-    v("width_m", width_m, range(0.1, 5.0, "m"), "Sleeve tip to sleeve tip; the body is what the sleeves leave.");
+    v("width_m", width_m, range(0.1, 5.0, "m"), "Sleeve tip to sleeve tip; the body is this less the sleeves.");
     v("length_m", length_m, range(0.1, 5.0, "m"), "Bottom hem to the top of the shoulders.");
     v("sleeve_length_m", sleeve_length_m, range(0.01, 2.0, "m"),
       "Along the top of the sleeve, from the body outwards.");
     v("sleeve_width_m", sleeve_width_m, range(0.01, 1.0, "m"), "Opening at the sleeve's end.");
-    v("sleeve_angle_deg", sleeve_angle_deg, range(0.0, 75.0, "deg"), "Of the sleeve below the horizontal.");
-    v("shoulder_angle_deg", shoulder_angle_deg, range(0.0, 45.0, "deg"), "Of the shoulder below the horizontal.");
-    v("armhole_m", armhole_m, range(0.02, 1.0, "m"), "Height of the sleeve where it meets the body.");
+    v("sleeve_angle_deg", sleeve_angle_deg, range(0.0, 75.0, "deg"), "Angle of the sleeve below the horizontal.");
+    v("shoulder_angle_deg", shoulder_angle_deg, range(0.0, 45.0, "deg"), "Angle of the shoulder below the horizontal.");
+    v("armhole_m", armhole_m, range(0.02, 1.0, "m"), "Height of the sleeve at the body.");
     v("neck_width_m", neck_width_m, range(0.02, 1.0, "m"), "Opening of the collar.");
     v("neck_depth_m", neck_depth_m, range(0.005, 0.5, "m"), "Depth of the collar.");
   }
@@ -79,7 +79,7 @@ struct TrousersSize {
   }
 };
 
-/// @throws ConfigError when the sizes contradict each other (sleeves wider than the garment, ...).
+/// @throws ConfigError if the sizes contradict each other, such as sleeves wider than the garment.
 Outline towel_outline(const TowelSize& size);
 Outline shirt_outline(const ShirtSize& size);
 Outline trousers_outline(const TrousersSize& size);

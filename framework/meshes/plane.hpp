@@ -7,7 +7,7 @@ namespace weft {
 
 constexpr double kDegree = std::numbers::pi / 180.0;
 
-/// z of the cross product: positive where b lies counter-clockwise of a.
+/// z of the cross product: positive if b lies counter-clockwise of a.
 inline double cross(const Vec2& a, const Vec2& b) { return a.x() * b.y() - a.y() * b.x(); }
 
 }  // namespace weft

@@ -8,9 +8,10 @@
 
 namespace weft {
 
-/// cases.h5: shapes of an experiment's cases for the page (docs/report.md), with its garment in it. Not committed yet.
+/// Creates cases.h5, the shapes of an experiment's cases for the page (docs/report.md), and writes the garment to it.
+/// The caller adds the shapes and commits the file.
 Hdf5File create_cases_file(const std::filesystem::path& file, const Garment& garment);
-/// All of one size, as [n, V, 3] in single precision.
+/// Writes shapes of equal size as [n, V, 3] in single precision.
 void write_shapes(Hdf5File& file, const std::string& path, const std::vector<Positions>& shapes);
 
 }  // namespace weft

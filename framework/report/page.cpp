@@ -17,7 +17,7 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
-constexpr double kCoarseStep = 2e-4;  // where nothing is measured on the shape, and there are hundreds
+constexpr double kCoarseStep = 2e-4;  // for shapes that are only looked at; there are hundreds
 
 ordered_json list(const auto& values) { return std::vector<double>(values.data(), values.data() + values.size()); }
 
@@ -35,7 +35,7 @@ ordered_json parse_json(const std::string& text, const std::string& name) {
   try {
     return ordered_json::parse(text);
   } catch (const ordered_json::exception& error) {
-    throw ConfigError(name + ": is no JSON: " + error.what());
+    throw ConfigError(name + ": is not JSON: " + error.what());
   }
 }
 
@@ -46,8 +46,8 @@ std::string read_text(const fs::path& file) {
   return text;
 }
 
-/// What round r predicted for every segment that was then executed: mean vertex distance, mean predicted distance
-/// (root of the summed variances, averaged over vertices), and the share of coordinates within one sigma.
+/// Compares the prediction of round r with the executed segments: mean vertex distance, mean predicted distance (root
+/// of the summed variances, averaged over vertices), and the share of coordinates within one sigma.
 ordered_json compare_prediction(const SessionRecord& session, std::size_t r) {
   const auto& round = session.rounds[r];
   ordered_json error = ordered_json::array(), sigma = ordered_json::array(), inside = ordered_json::array();
@@ -70,7 +70,7 @@ ordered_json garment_json(PageData& page, const std::string& name, const Faces& 
 
 constexpr const char* kExperiments[] = {"planning", "estimation", "prediction", "physics", "ablation"};
 
-/// cases.h5: what the cases of an experiment came to, for those that the page shows.
+/// Adds cases.h5: the resulting shapes of the cases that the page shows.
 void add_cases(PageData& page, const fs::path& path) {
   const auto file = Hdf5File::open(path);
   const auto fail = [&](const std::string& what, const std::string& message) {
@@ -80,7 +80,7 @@ void add_cases(PageData& page, const fs::path& path) {
   if (corners.size() % 3 != 0) fail("/garment/faces", "must have the shape [n, 3]");
   const Index vertices = file.shape("/garment/rest").at(0);
   for (const auto corner : corners) {
-    if (corner < 0 || corner >= vertices) fail("/garment/faces", "names a vertex that is none");
+    if (corner < 0 || corner >= vertices) fail("/garment/faces", "names a vertex that does not exist");
   }
   Faces faces(static_cast<Index>(corners.size() / 3), 3);
   std::copy(corners.begin(), corners.end(), faces.data());
@@ -119,13 +119,13 @@ void add_cases(PageData& page, const fs::path& path) {
     const auto finals = read_shapes(group + "/finals");
     const auto goal_of = file.read_int(group + "/goal_of");
     if (goal_of.size() != finals.size()) fail(group + "/goal_of", "must have one entry per final shape");
-    // One array per shape, since a page decodes those that are looked at; what is left of the distance to the goal,
+    // One array per shape, since a page decodes only the shapes it shows. The arrays hold differences to the goal,
     // since small numbers compress well.
     ordered_json goal_list = ordered_json::array(), offset_list = ordered_json::array();
     for (const auto& goal : goals) goal_list.push_back(page.shapes({goal}));
     for (std::size_t i = 0; i < finals.size(); ++i) {
       if (goal_of[i] < 0 || goal_of[i] >= static_cast<std::int64_t>(goals.size()))
-        fail(group + "/goal_of", "names a goal that is none");
+        fail(group + "/goal_of", "names a goal that does not exist");
       offset_list.push_back(page.shapes({finals[i] - goals[static_cast<std::size_t>(goal_of[i])]}));
     }
     page.json["shapes"][name] = {{"goals", goal_list}, {"offsets", offset_list}, {"goal_of", goal_of}};
@@ -137,7 +137,7 @@ void add_cases(PageData& page, const fs::path& path) {
 ReportTemplate find_report_template() {
   if (const char* given = std::getenv("WEFT_REPORT_TEMPLATE")) {
     if (fs::is_regular_file(given)) return {read_text(given), ""};
-    return {"", std::string("WEFT_REPORT_TEMPLATE names ") + given + ", which is no file"};
+    return {"", std::string("WEFT_REPORT_TEMPLATE names ") + given + ", which is not a file"};
   }
   // <prefix>/share/weft/report, seen from <prefix>/lib or <prefix>/lib/<multiarch>.
   fs::path folder = library_folder();

@@ -4,21 +4,21 @@
 
 #include "session/session_file.hpp"
 
-/// The page that shows results: one self-contained HTML file. The template is built from apps/report when node is there
-/// (docs/report.md); this fills in a result's data.
+/// The page that shows results: one self-contained HTML file. The build makes the template from apps/report if node is
+/// installed (docs/report.md). The functions here fill in a result's data.
 namespace weft {
 
 struct ReportTemplate {
-  std::string text;    ///< empty: there is none
-  std::string reason;  ///< why not
+  std::string text;    ///< empty: no template was found
+  std::string reason;  ///< why none was found
 };
 /// WEFT_REPORT_TEMPLATE, else share/weft/report/report.html beside the library, in the build tree and installed alike.
 ReportTemplate find_report_template();
 
-/// The template with a session's data in it. @throws ConfigError for a template that is none.
+/// The template with a session's data in it. @throws ConfigError if the text is not a template of weft.
 std::string session_page(const std::string& page_template, const SessionRecord& session);
-/// The template with the data of an evaluation or ablation: whichever of planning.json, estimation.json,
-/// prediction.json, physics.json, ablation.json, provenance.json, config.yaml and cases.h5 lie in the folder.
+/// The template with the data of an evaluation or ablation: all files in the folder of planning.json, estimation.json,
+/// prediction.json, physics.json, ablation.json, provenance.json, config.yaml and cases.h5.
 /// @throws ConfigError.
 std::string experiment_page(const std::string& page_template, const std::filesystem::path& folder);
 

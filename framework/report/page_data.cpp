@@ -13,7 +13,7 @@ namespace {
 
 using nlohmann::ordered_json;
 
-// What the template holds where data goes; apps/report/build.mjs writes the same.
+// The mark in the template for the data. apps/report/build.mjs writes the same mark.
 constexpr const char* kPlaceholder = "<!--weft-data-->";
 
 std::string base64(const std::string& bytes) {
@@ -93,7 +93,7 @@ ordered_json PageData::matrix(const Controls& matrix) {
 std::string PageData::fill(const std::string& page_template) const {
   const auto place = page_template.find(kPlaceholder);
   if (place == std::string::npos)
-    throw ConfigError("report template: has no place for data; it is no template of weft");
+    throw ConfigError("report template: has no place for data; it is not a template of weft");
   std::string text = json.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
   for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos;) text.replace(at, 1, "\\u003c");
   std::string data = "<script type=\"application/json\" id=\"weft-data\">" + text + "</script>\n";

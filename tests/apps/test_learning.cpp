@@ -298,7 +298,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   std::filesystem::create_directory(folder / "folder.h5");
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "folder.h5")), HasSubstr("is a folder"));
   const std::string to_x = " --out " + quoted(folder / "x.h5");
-  EXPECT_THAT(refused(command + "--data " + quoted(folder / "none") + to_x), HasSubstr("is no folder"));
+  EXPECT_THAT(refused(command + "--data " + quoted(folder / "none") + to_x), HasSubstr("is not a folder"));
   EXPECT_THAT(refused(command + "--data " + quoted(fresh) + " " + quoted(fresh) + to_x), HasSubstr("the same one"));
   EXPECT_THAT(refused("calibrate '" + kConfig + "' --data " + quoted(fresh) + to_x), HasSubstr("needs a model file"));
   EXPECT_THAT(
@@ -359,7 +359,7 @@ TEST(Learning, WrongUseSaysWhy) {
   EXPECT_THAT(refused("train '" + kConfig + "' --out " + quoted(folder / "m")), HasSubstr("must end in .h5"));
   EXPECT_THAT(
       refused("train '" + kConfig + "' --data " + quoted(folder / "none") + " --out " + quoted(folder / "m.h5")),
-      HasSubstr("is no folder"));
+      HasSubstr("is not a folder"));
   EXPECT_THAT(
       refused("train '" + kConfig + "' --set predictor='{plugin: rollout}' --data x --out " + quoted(folder / "m.h5")),
       HasSubstr("does not learn"));

@@ -96,7 +96,7 @@ TEST_F(ReportFolder, TakesTheTemplateThatTheEnvironmentNames) {
   ::setenv("WEFT_REPORT_TEMPLATE", (folder_ / "template.html").c_str(), 1);
   EXPECT_EQ(find_report_template().text, kTemplate);
   ::setenv("WEFT_REPORT_TEMPLATE", (folder_ / "nothing.html").c_str(), 1);
-  EXPECT_THAT(find_report_template().reason, HasSubstr("nothing.html, which is no file"));
+  EXPECT_THAT(find_report_template().reason, HasSubstr("nothing.html, which is not a file"));
   EXPECT_THAT(write_report(folder_), HasSubstr("nothing.html"));
   EXPECT_FALSE(fs::exists(folder_ / "report.html"));
 }

@@ -275,7 +275,7 @@ TEST(Sweep, RowsOfAnotherFormAreRefused) {
   run_sweep(plan, s.options("out", formula));
   std::ofstream(s.only_row("out")) << R"({"schema": "weft sweep row 3"})";
   EXPECT_THAT(message_of<ConfigError>([&] { run_sweep(plan, s.options("out", formula)); }),
-              testing::HasSubstr("is no row of a sweep"));
+              testing::HasSubstr("is not a row of a sweep"));
 }
 
 TEST(SweepMetrics, ComeInTheOrderOfTheirFirstAppearance) {

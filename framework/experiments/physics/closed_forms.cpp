@@ -65,7 +65,7 @@ void add_elastica(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
                                    text("x/L %.4f", tip.x()) + text(" for %.4f", reference.x))};
                          }});
       }
-  // The nominal bending stiffness: the lengths that a garment's folds have.
+  // The nominal bending stiffness gives the lengths of a garment's folds.
   for (const double edge : {p.fine_edge_m})
     for (const Elastica& reference : {kElastica[4], kElastica[6]})
       for (const Pattern pattern : {Pattern::regular, Pattern::irregular}) {
@@ -156,8 +156,6 @@ void add_hanging(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
       }
 }
 
-namespace {}  // namespace
-
 void add_catenary(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
   struct Reference {
     double ratio, sag;
@@ -169,7 +167,7 @@ void add_catenary(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
           {"catenary", name, [=](const std::vector<SimulatorVariant>& variants) {
              const double length = 20 * p.garment_edge_m, d = length / reference.ratio;
              Sheet sheet = strip(length, 3 * p.garment_edge_m, p.garment_edge_m, pattern);
-             // Starts as a circular arc of that length: half angle a with sin(a)/a = d/L.
+             // The strip starts as a circular arc of its length: half angle a with sin(a)/a = d/L.
              double low = 1e-6, high = std::numbers::pi;
              for (int k = 0; k < 80; ++k) {
                const double a = 0.5 * (low + high);
@@ -354,7 +352,7 @@ std::vector<PhysicsRow> keep_momentum(const PhysicsParams& p, const Variants& va
 }
 
 /// A strip is dropped upright: it falls, crumples, folds over itself and comes to rest. Kinetic plus potential energy
-/// may go into the cloth and never exceeds what was there.
+/// must never exceed the initial energy.
 std::vector<PhysicsRow> drop_on_end(const PhysicsParams& p, const Variants& variants) {
   Sheet sheet = strip(0.3, 0.1, p.garment_edge_m, Pattern::irregular);
   for (Index i = 0; i < sheet.positions.rows(); ++i) {
@@ -377,7 +375,7 @@ std::vector<PhysicsRow> drop_on_end(const PhysicsParams& p, const Variants& vari
       row("energy", variants[0], "strip dropped on end", "largest energy J", start, worst, worst / start - 1.0, 1e-3)};
 }
 
-/// Uniform stretch of 2 % along warp, let go in free space: kinetic energy never exceeds area K E^2/2.
+/// A sheet is stretched by 2 % along warp and released in free space: kinetic energy never exceeds area K E^2/2.
 std::vector<PhysicsRow> let_go_stretched(const PhysicsParams& p, const Variants& variants) {
   const Sheet sheet = strip(0.3, 0.3, p.garment_edge_m, Pattern::irregular);
   const Vector mass = lumped_masses(sheet, p.density_kg_per_m2);
@@ -408,7 +406,7 @@ std::vector<PhysicsRow> refine_cantilever(const PhysicsParams& p, const Variants
     const double length = 0.1;
     const Sheet sheet = strip(length + 0.5 * edge, 0.04, edge, Pattern::regular);
     Sheet exact = sheet;
-    // Cells of the strip are stretched a little so that half an edge lies behind the clamp.
+    // The strip's cells are stretched a little, so that half an edge lies behind the clamp.
     const double cells = std::round(length / edge) + 0.5, scale = length / cells;
     for (Index i = 0; i < exact.flat.rows(); ++i) {
       const double s = std::round(sheet.flat(i, 0) / (sheet.length / std::round(sheet.length / edge))) * scale;

@@ -3,7 +3,7 @@
 
 #include "experiments/physics/physics.hpp"
 
-/// Tests whose outcome is known in closed form, or bounded by a law of conservation. Each adds its cases.
+/// Tests whose result has a closed form or is bounded by a conservation law. Each function adds its cases.
 namespace weft::physics {
 
 /// elastica: tips of heavy cantilevers; orthotropy: the same along warp, weft and bias.

@@ -206,7 +206,7 @@ std::vector<PhysicsRow> random_folds(const SimulatorVariant& variant, const std:
       continue;
     }
     diverged.add(seed, 0.0);
-    if (!result.released) {  // a path that the horizon cuts short: let go where it ends
+    if (!result.released) {  // the horizon ended the path, so release the cloth at its end
       simulator->release();
       result.settle = simulator->settle(task.settle);
       result.shapes.back() = simulator->positions();
@@ -224,8 +224,8 @@ std::vector<PhysicsRow> random_folds(const SimulatorVariant& variant, const std:
   return rows;
 }
 
-/// The same fold, fabric and hands in each simulator, of which there are one or two: what each makes of it, and how far
-/// apart the settled shapes are.
+/// Runs the same fold with the same fabric and hands in one or two simulators. Returns the figures of each, and the
+/// distance between the settled shapes.
 std::vector<PhysicsRow> paired_fold(const std::vector<SimulatorVariant>& variants, const std::string& name,
                                     const Task& task, const PhysicsParams::Folds& p, std::uint64_t seed) {
   const RandomFold fold = random_fold(task, p, seed);
@@ -253,7 +253,7 @@ std::vector<PhysicsRow> paired_fold(const std::vector<SimulatorVariant>& variant
     rows.back().cpu_ms_per_frame = ms;
     rows.back().note = text("CPU %.1f ms/frame", ms);
   }
-  // Two models of cloth: no bound follows from either. A fold gone another way would be off by decimetres.
+  // The models differ, so neither gives a bound. A fold that went another way would differ by decimetres.
   if (variants.size() > 1) {
     add(variants[0], "mean vertex distance mm", mean_distance_mm(shapes[0], shapes[1]), 100.0);
     rows.back().note = "from " + variants[1].name;

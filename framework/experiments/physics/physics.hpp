@@ -11,10 +11,10 @@
 #include "weft/params.hpp"
 #include "weft/simulator.hpp"
 
-/// What the tests of the physics suite have in common: their parameters, cases and rows.
+/// Parameters, cases and rows of the physics suite.
 namespace weft {
 
-/// A simulator at some settings. The suite makes as many as it likes, on any thread.
+/// A simulator with certain settings. The suite makes any number of them, on any thread.
 struct SimulatorVariant {
   std::string name;
   std::function<std::shared_ptr<Simulator>()> make;
@@ -25,14 +25,14 @@ struct PhysicsRow {
   std::string test;      ///< "elastica"
   std::string variant;   ///< of the simulator
   std::string name;      ///< the case: mesh, load, ...
-  std::string quantity;  ///< what reference and measured are
+  std::string quantity;  ///< of reference and measured
   double reference = 0.0;
   double measured = 0.0;
   double error = 0.0;  ///< as the bound counts it
   double bound = 0.0;
   bool passed = false;  ///< error <= bound
   std::string note;
-  /// Of random folds: a seed each, and what it measured; `measured` is the worst of them.
+  /// For random folds: the seed and the measured value of each; `measured` is the worst.
   std::vector<std::pair<std::uint64_t, double>> by_seed;
   double cpu_ms_per_frame = 0.0;  ///< of a paired fold's simulator, in the row of its settled speed; else 0
 };
@@ -44,7 +44,7 @@ struct PhysicsParams {
   double stretch_n_per_m = 100.0;
   double bend_n_m = 2.0e-5;
   std::vector<std::string> tests;
-  /// Random folds of the task: fold s draws material and controls from seed s alone, so any of them can be replayed.
+  /// Random folds of the task. Fold s draws material and controls from seed s alone, so each fold can be replayed.
   struct Folds {
     std::int64_t first_seed = 1;
     std::int64_t count = 200;
@@ -57,12 +57,12 @@ struct PhysicsParams {
       v("first_seed", first_seed, range(0, 1000000000), "Seed of the first random fold; the others count up.");
       v("count", count, range(0, 1000000), "Number of random folds.");
       v("paired", paired, range(0, 1000000),
-        "Number of random folds, from the same first seed, that two simulators do alike (test `paired folds`).");
-      v("horizon", horizon, range(1, 1000, "segments"), "Longest path; it ends where the hands let go.");
+        "Number of random folds, from the same first seed, that two simulators both run (test `paired folds`).");
+      v("horizon", horizon, range(1, 1000, "segments"), "Longest path; a path ends at the release.");
       v("grasp_radius_m", grasp_radius_m, range(0, 1, "m"),
-        "Faces with a vertex that lies this close to a grasped one at rest do not count as strained cloth: the strain "
-        "under a point load has no limit.");
-      v.group("controls", controls, "How the random paths are drawn.");
+        "Faces with a vertex this close to a grasped one, in the rest shape, do not count in the strain, because the "
+        "strain under a point load has no limit.");
+      v.group("controls", controls, "The distribution of the random paths.");
     }
   } folds;
 
@@ -71,9 +71,9 @@ struct PhysicsParams {
     v("fine_edge_m", fine_edge_m, range(0.001, 0.1, "m"), "Edge length of the fine meshes.");
     v("garment_edge_m", garment_edge_m, range(0.001, 0.1, "m"),
       "Edge length of the coarse meshes: that of the garments.");
-    v("density_kg_per_m2", density_kg_per_m2, range(0.001, 10, "kg/m^2"), "Of the test fabric.");
+    v("density_kg_per_m2", density_kg_per_m2, range(0.001, 10, "kg/m^2"), "Density of the test fabric.");
     v("stretch_n_per_m", stretch_n_per_m, range(0.1, 1e6, "N/m"), "Membrane stiffness of the test fabric, both ways.");
-    v("bend_n_m", bend_n_m, range(1e-9, 1, "N m"), "Bending stiffness where the test does not choose it.");
+    v("bend_n_m", bend_n_m, range(1e-9, 1, "N m"), "Bending stiffness of the test fabric, unless the test sets it.");
     v("tests", tests, "Names of the tests to run; empty: all.");
     v.group("folds", folds, "Random folds over the whole material and control range.");
   }
@@ -87,7 +87,7 @@ struct PhysicsExperimentParams : SessionParams {
   template <class Visitor>
   void visit(Visitor& v) {
     SessionParams::visit(v);
-    v("finer", finer, PluginSlot{"simulator"}, "The simulator at finer steps: shows what depends on the step.");
+    v("finer", finer, PluginSlot{"simulator"}, "The simulator at finer steps, to show the effect of the step.");
     v("other", other, PluginSlot{"simulator"}, "Another simulator, for `paired folds`.");
     v.group("physics", physics, "The physics suite.");
   }
@@ -96,7 +96,7 @@ struct PhysicsExperimentParams : SessionParams {
 /// One case of the suite, independent of the others.
 struct PhysicsCase {
   std::string test, name;
-  /// @param variants the first is the one under test; the others are its finer steps, for what must not depend on them.
+  /// @param variants the first is under test. The others have finer steps, for results that must not depend on them.
   std::function<std::vector<PhysicsRow>(const std::vector<SimulatorVariant>& variants)> run;
 };
 /// "test  case  quantity  reference  measured  error  bound  ok"

@@ -55,7 +55,7 @@ Sheet strip(double length, double width, double edge, Pattern pattern, double tu
         }
     }
     for (const auto& t : delaunay(points)) {
-      // Slivers along the straight border are no part of the strip.
+      // Slivers along the straight border are not part of the strip.
       const Vec2 &a = points[static_cast<std::size_t>(t[0])], &b = points[static_cast<std::size_t>(t[1])],
                  &c = points[static_cast<std::size_t>(t[2])];
       const double area = 0.5 * ((b - a).x() * (c - a).y() - (b - a).y() * (c - a).x());

@@ -7,11 +7,11 @@
 #include "weft/material.hpp"
 #include "weft/simulator.hpp"
 
-/// Strips of test fabric, and how they are brought to rest.
+/// Strips of test fabric, and a function that brings them to rest.
 namespace weft::physics {
 
 constexpr double kGravity = 9.81;
-inline const Positions kNothing(0, 3);  ///< targets of a step that holds nothing
+inline const Positions kNothing(0, 3);  ///< targets of a step without held vertices
 
 enum class Pattern { regular, rotated, irregular };
 const char* name_of(Pattern pattern);
@@ -38,23 +38,24 @@ struct Sheet {
       if (std::abs(flat(i, 0) - x) < 1e-9 * length) found.push_back(i);
     return found;
   }
-  RestPositions flat;  ///< along and across the strip, m; rest may be turned against it
+  RestPositions flat;  ///< [V, 2] m, along and across the strip; `rest` may be rotated against it
 };
 
 /// A strip [0, length] x [0, width] of triangles with edges near `edge`. Borders and the first two columns are regular
-/// in every pattern, so that a clamp is the same; the inside is a grid, a grid turned by 27 degrees, or a shaken grid,
-/// the last two triangulated by Delaunay. @param turn rad: the warp direction makes this angle with the strip.
+/// in every pattern, so that clamps are equal. The inside is a grid (regular), a grid rotated by 27 degrees, or a
+/// perturbed grid (irregular); the last two are triangulated by Delaunay.
+/// @param turn rad: angle between the warp direction and the strip.
 Sheet strip(double length, double width, double edge, Pattern pattern, double turn = 0.0);
 /// Two sheets as one garment of two pieces.
 Sheet both(const Sheet& a, const Sheet& b);
 /// [n] kg: a third of each triangle's mass at its corners.
 Vector lumped_masses(const Sheet& sheet, double density);
 
-/// Isotropic, undamped, without Poisson's effect: what the closed forms assume.
+/// An isotropic, undamped fabric without Poisson's effect, as the closed forms assume.
 Fabric test_fabric(const PhysicsParams& p);
 void set_bend(Fabric& fabric, double bend);
 Scene no_ground();
-/// Steps until the largest speed stays below `speed` for ten frames. @return frames; the limit if it never does.
+/// Steps until the largest speed stays below `speed` for ten frames in a row. @return frames, at most `limit`.
 Index rest(Simulator& simulator, double speed, Index limit);
 
 }  // namespace weft::physics

@@ -6,16 +6,16 @@
 #include "experiments/physics/physics.hpp"
 #include "weft/host.hpp"
 
-/// The physics suite: a simulator against closed forms. Knows only the Simulator interface; makes its own meshes.
+/// The physics suite compares a simulator with closed forms. It uses only the Simulator interface and its own meshes.
 namespace weft {
 
 /// The simulator of a slot, such as `simulator` of a task. The host must outlive it.
 SimulatorVariant simulator_variant(std::string name, Host& host, const ConfigNode& slot);
 
-/// @param task optional: adds the crease of the task's fold, random folds and what its material properties do. Only the
-/// cases' run() looks into it: without running, an empty Task gives the same list.
-/// @param origin what params were read from, for messages. @throws ConfigError for an unknown test name, and for a
-/// choice that leaves no case.
+/// @param task optional: adds the crease of the task's fold, random folds and the effect of the material properties.
+/// Only run() of a case reads it, so an empty Task gives the same list of cases.
+/// @param origin the node that params were read from, for messages.
+/// @throws ConfigError for an unknown test name, and if no case is left.
 std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task = nullptr,
                                        const ConfigNode& origin = {});
 std::vector<std::string> physics_test_names();
