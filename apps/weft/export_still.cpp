@@ -212,8 +212,8 @@ void draw_shadow(Canvas& canvas, const Camera& camera, const Positions& shape, c
 
 /// What the pictures of a session show: its shapes, the goal and the way of the hands.
 /// One camera for the whole session: stills of several frames fit on each other.
-struct Scene {
-  explicit Scene(const SessionRecord& session) {
+struct Subject {
+  explicit Subject(const SessionRecord& session) {
     const std::size_t halfway = session.segment_frame(session.segments()) / 2;
     for (const Positions* shape :
          {&session.frames.front(), &session.frames[halfway], &session.frames.back(), &session.goal}) {
@@ -345,14 +345,14 @@ void write_png(const std::filesystem::path& file, const StillOptions& options,
 double write_still(const std::filesystem::path& file, const SessionRecord& session, std::size_t frame,
                    const StillOptions& options) {
   const Positions& shape = session.frames.at(frame);
-  const Scene scene(session);
+  const Subject subject(session);
   const int width = options.width * kSamples, height = options.height * kSamples;
-  const Camera camera(scene.points, direction_of(options.view), width, height);
+  const Camera camera(subject.points, direction_of(options.view), width, height);
   Canvas canvas(width, height);
   if (!options.transparent) {
     std::fill(canvas.colour.begin(), canvas.colour.end(), Colour::Ones());
     std::fill(canvas.covered.begin(), canvas.covered.end(), static_cast<unsigned char>(1));
-    draw_ground(canvas, camera, scene.low, scene.high);
+    draw_ground(canvas, camera, subject.low, subject.high);
     draw_shadow(canvas, camera, shape, session.faces);
   }
 
