@@ -368,7 +368,7 @@ Outcome observer_stops_the_search(const Bench& bench) {
   if (s.objective.calls != calls_then) wrong.miss("the objective was evaluated after the observer returned false");
   for (std::size_t i = 0; i < results.size(); ++i) {
     if (results[i].status != OptimiserStatus::stopped)
-      wrong.miss(std::string("a stopped search that ends as ") + to_string(results[i].status));
+      wrong.miss(std::string("a stopped search ended as ") + to_string(results[i].status));
     if (results[i].cost != before[i]) wrong.miss("a cost that is not the last one observed");
   }
   return wrong.outcome();

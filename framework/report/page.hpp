@@ -12,7 +12,8 @@ struct ReportTemplate {
   std::string text;    ///< empty: no template was found
   std::string reason;  ///< why none was found
 };
-/// WEFT_REPORT_TEMPLATE, else share/weft/report/report.html beside the library, in the build tree and installed alike.
+/// Reads WEFT_REPORT_TEMPLATE, or else share/weft/report/report.html near the library. The path is the same in the
+/// build tree and after installation.
 ReportTemplate find_report_template();
 
 /// The template with a session's data in it. @throws ConfigError if the text is not a template of weft.

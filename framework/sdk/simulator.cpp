@@ -222,7 +222,7 @@ void SimulatorBase::release() { release(std::vector<Index>(held_)); }
 void SimulatorBase::step(const Positions& grasp_targets) {
   require_running("step");
   const Index held = held_.size();
-  if (grasp_targets.rows() != held)  // else its message is allocated in every frame
+  if (grasp_targets.rows() != held)  // avoids allocating the message in every frame
     require_shape(name_ + ": step: rows of grasp_targets", grasp_targets.rows(), held);
   if (!grasp_targets.allFinite()) throw Error(name_ + ": step: grasp_targets are not finite");
   advance(grasp_targets, 0.0);

@@ -69,7 +69,7 @@ PredictionCase perturbed(const PredictionCase& base, const CaseDirection& direct
   one.controls += amount * direction.controls;
   one.knowledge.centre += amount * direction.centre;
   one.knowledge.width += amount * direction.width;
-  // Rounding may leave [0, 1] by a bit; a centre or width that was outside before is left alone.
+  // Rounding may leave [0, 1] by a bit. Entries that do not move stay as they are, even outside [0, 1].
   for (Index p = 0; p < 4; ++p) {
     if (direction.centre(p) != 0.0) one.knowledge.centre(p) = std::clamp(one.knowledge.centre(p), 0.0, 1.0);
     if (direction.width(p) != 0.0) one.knowledge.width(p) = std::clamp(one.knowledge.width(p), 0.0, 1.0);
@@ -89,7 +89,7 @@ std::vector<std::vector<ShapeDistribution>> predict_sides(const Predictor& predi
   std::vector<std::size_t> wanted;
   for (std::size_t k = 0; k < sides.size(); ++k)
     if (sides[k].amount != 0.0) wanted.push_back(k);
-  // Where bits depend on the batch, every case has batches of its own.
+  // If bits depend on the batch, a batch holds the sides of one case only.
   const bool mixed = predictor.capabilities().deterministic;
   for (std::size_t first = 0, last = 0; first < wanted.size(); first = last) {
     while (last < wanted.size() && last - first < batch &&
@@ -119,7 +119,7 @@ std::vector<ShapeCotangent> difference(const std::vector<ShapeDistribution>& bas
   const double length = (has_up ? up_amount : 0.0) - (has_down ? down_amount : 0.0);
   const auto& up = has_up ? up_shapes : base;
   const auto& down = has_down ? down_shapes : base;
-  // A direction of zeros has derivative zero; one without any neighbour has none.
+  // A zero direction has derivative zero. If both sides have no result, there is no derivative.
   const bool is_zero = up_amount == 0.0 && down_amount == 0.0;
   std::vector<ShapeCotangent> derivatives;
   for (std::size_t s = 0; s < base.size(); ++s) {

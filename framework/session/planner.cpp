@@ -84,7 +84,7 @@ class PlanningObjective final : public Objective {
         result.costs(i) = std::numeric_limits<double>::infinity();
         continue;
       }
-      // Row v is weighted by the vertex's weight, once for the loss and once for its gradient.
+      // Row v is weighted by the vertex's weight, both in the loss and in its gradient.
       const auto& shape = prediction->shapes()[i].front();
       const Positions difference = shape.mean - *request_.goal;
       const Positions weighted = weights_.asDiagonal() * difference;
@@ -403,7 +403,7 @@ Plan Planner::plan(const PlanRequest& request) const {
 
   plan.ended = search_end(results, plan.instance);
 
-  // The winner, truncated after its release segment, with the whole predicted sequence.
+  // Truncate the winner after its release segment and predict its whole sequence.
   PredictionCase winner = objective.make_case(results[plan.instance].x);
   const Index u = winner.segments.front();
   winner.controls.conservativeResize(u, Eigen::NoChange);

@@ -100,7 +100,7 @@ Vector activity_residuals(const Task& task, ConstVec state, const Controls& cont
 
 /// Weight of every vertex in the planning loss, [V], with mean 1, from `vertices` and `vertex_weights`.
 /// @param origin the node with `planning`, for messages.
-/// @throws ConfigError for an index that is no vertex or repeated, for a wrong number of weights, or if their sum is 0.
+/// @throws ConfigError for an index out of range or repeated, for a wrong number of weights, or if their sum is 0.
 Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigNode& origin = {});
 
 /// Trajectory planning (section 4). Uses the predictor for shapes and gradients, the optimiser for the search.

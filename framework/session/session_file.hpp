@@ -43,7 +43,7 @@ struct SessionRecord {
 
   Index vertex_count() const { return start.rows(); }
   Index segments() const { return rounds.size(); }
-  /// Frame at which segment j = 0, 1, ... begins; segments(): at which the hands let go.
+  /// First frame of segment j = 0, 1, ...; for j = segments() the frame of the release.
   Index segment_frame(Index j) const { return j * kFramesPerSegment; }
   Index settle_frames() const { return std::ssize(frames) - 1 - segment_frame(segments()); }
   bool released() const { return settle_frames() > 0; }

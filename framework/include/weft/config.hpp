@@ -40,7 +40,7 @@ class WEFT_API ConfigNode {
   bool is_sequence() const { return kind() == Kind::sequence; }
   bool is_mapping() const { return kind() == Kind::mapping; }
 
-  /// The value of a key, or nullopt. A null node counts as an empty mapping. @throws ConfigError if this is no mapping.
+  /// The value of a key, or nullopt. Null counts as an empty mapping. @throws ConfigError unless this is a mapping.
   std::optional<ConfigNode> find(std::string_view key) const;
   /// The value of a key. @throws ConfigError naming the nearest key if there is none.
   ConfigNode at(std::string_view key) const;

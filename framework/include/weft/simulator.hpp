@@ -113,7 +113,7 @@ class WEFT_API Simulator {
 };
 
 /// The checks that every simulator of cloth makes in reset(). It refuses a garment without faces; moduli, friction,
-/// thickness and damping that are not finite or out of range; a scene that is not finite; pins that are no vertices of
+/// thickness and damping that are not finite or out of range; a scene that is not finite; pins that are not vertices of
 /// the garment; a fabric or scene that needs an ability which `capabilities` does not declare. With self_contact the
 /// thickness must be above 0.
 /// @param plugin the plugin's name; messages start with it.
