@@ -32,7 +32,8 @@ constexpr Template kTemplates[] = {
      "--set predictor=@NAME@ --set optimiser=mppi"},
     {"trajectory", "min_jerk", "MinJerk", "Trajectory", "targets_pullback_is_exact", "lift", "0.3",
      "--set trajectory=@NAME@ \\\n  --set 'goal.controls=[0.0125, 0, 0.0005]'"},
-    {"optimiser", "momentum", "Momentum", "Optimiser", "solves_rosenbrock", "repeat", "0.8", "--set optimiser=@NAME@"},
+    {"optimiser", "momentum", "Momentum", "Optimiser", "never_leaves_the_box", "repeat", "0.8",
+     "--set optimiser=@NAME@"},
 };
 
 struct NewPlugin {
