@@ -385,6 +385,10 @@ TEST(Program, DescribeShowsParametersWithUnitsRangesAndDefaults) {
   EXPECT_TRUE(found);
   EXPECT_THAT(weft_command("describe arc --markdown").output, StartsWith("| parameter | type |"));
   EXPECT_THAT(weft_command("describe ablation").output, HasSubstr("resamples"));
+  EXPECT_THAT(
+      weft_command("describe scene").output,
+      AllOf(StartsWith("scene file, for weft simulate\n"), HasSubstr("  duration_s  "), HasSubstr("default (none)"),
+            HasSubstr("  grasps.N.keyframes.N.offset_m list of 3 numbers (x, y, z) m, in [-1000, 1000]")));
   const auto experiment = nlohmann::json::parse(weft_command("describe experiment --json 2>/dev/null").output);
   std::map<std::string, nlohmann::json> keys;
   for (const auto& key : experiment.at("params")) keys[key.at("name")] = key;
