@@ -24,8 +24,8 @@ function(weft_add_plugin name)
   set_target_properties(${target} PROPERTIES
     PREFIX "lib" OUTPUT_NAME ${target} CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON
     LIBRARY_OUTPUT_DIRECTORY ${ARG_OUTPUT_DIRECTORY})
-  # An installed plugin finds libweft.so two folders up, also after the tree was moved. A plugin that is installed apart
-  # from weft finds it in the folder that it was linked from.
+  # An installed plugin finds libweft.so two folders up, also after the tree was moved. A plugin that is installed
+  # elsewhere finds it in the folder that it was linked from.
   set_property(TARGET ${target} APPEND PROPERTY INSTALL_RPATH "$ORIGIN/../..")
   set_target_properties(${target} PROPERTIES INSTALL_RPATH_USE_LINK_PATH ON)
   if(ARG_MARCH)

@@ -1,6 +1,7 @@
 cmake_minimum_required(VERSION 3.25)
-# Writes OUTPUT, a header naming the commit of SOURCE: "unknown" without git, and for a source tree that is no
-# repository of its own (an unpacked release inside somebody's repository must not take that repository's commit).
+# Writes OUTPUT, a header naming the commit of SOURCE. The commit is "unknown" without git, and for a source tree that
+# is not a repository of its own: a release unpacked inside somebody's repository must not take that repository's
+# commit.
 set(commit "unknown")
 execute_process(COMMAND git -C ${SOURCE} rev-parse --show-toplevel --short=12 HEAD OUTPUT_VARIABLE answer
                 OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET RESULT_VARIABLE failed)

@@ -1,6 +1,6 @@
 # Bundles apps/report: copies SOURCE to WORK, fetches packages there, writes OUTPUT/report.html, touches STAMP.
-# A failure is not the build's: OUTPUT/why-not.txt says what happened, and is what commands show. TESTS: also fetch what
-# only the tests need.
+# A failure does not fail the build: OUTPUT/why-not.txt gives the reason, and commands print it. TESTS: also fetch the
+# packages that only the tests need.
 file(REMOVE ${OUTPUT}/report.html ${OUTPUT}/why-not.txt)
 function(give_up reason)
   file(WRITE ${OUTPUT}/why-not.txt "${reason}; remove ${STAMP} and build again\n")
@@ -9,7 +9,7 @@ function(give_up reason)
 endfunction()
 
 file(COPY ${SOURCE}/ DESTINATION ${WORK} PATTERN node_modules EXCLUDE)
-# Packages are fetched anew only when the list of them changed.
+# Packages are fetched again only when their list has changed.
 file(SHA256 ${SOURCE}/package-lock.json wanted)
 if(TESTS)
   set(group include)

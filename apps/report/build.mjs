@@ -1,4 +1,4 @@
-// Bundles the page into one file with a place for data, which weft fills in (framework/src/report.cpp).
+// Bundles the page into one file with a place for data, which weft fills in (framework/report/page_data.cpp).
 //   node build.mjs OUTPUT.html
 import { mkdir, readFile, rename, writeFile } from 'node:fs/promises';
 import { existsSync, readdirSync, readFileSync } from 'node:fs';

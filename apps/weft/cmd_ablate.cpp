@@ -3,8 +3,9 @@
 #include <sstream>
 
 #include "commands.hpp"
+#include "experiments/ablation.hpp"
+#include "experiments/cells.hpp"
 #include "experiments/physics/physics.hpp"
-#include "experiments/sweep.hpp"
 #include "output.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
@@ -24,9 +25,9 @@ std::string slug(const std::string& name) {
   return text;
 }
 
-/// Makes everything that a cell of this arm makes first, and drops it: what cannot work shows before any work starts.
+/// Makes the parts that a cell of this arm needs, and drops them, so that errors show before any work starts.
 /// @return the arm's config, independent of where its files lie.
-ConfigNode rehearse(const AblationPlan& plan, const AblationArm& arm, const PluginRegistry& registry, Host& host,
+ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginRegistry& registry, Host& host,
                     const std::filesystem::path& folder) {
   try {
     if (plan.measure == "physics") {
@@ -65,13 +66,13 @@ int ablate(const Context& context, const std::string& file) {
   write_text(folder / "config.yaml", config.to_yaml());
 
   write_text(folder / "provenance.json", provenance_json(*registry, *host, plan.seeds.front()));
-  AblationOptions options;
+  SweepOptions options;
   options.folder = folder;
   options.jobs = host->threads();
   options.registry = registry;
   options.cancel = context.cancel_flag();
-  if (plan.measure == "physics") options.runner = run_physics_cell;
-  options.progress = [&](const AblationRow& row, std::size_t done, std::size_t total) {
+  options.runner = plan.measure == "physics" ? run_physics_cell : run_session_cell;
+  options.progress = [&](const SweepRow& row, std::size_t done, std::size_t total) {
     std::ostringstream line;
     line << done << '/' << total << "  " << plan.arms[row.arm].name << ", "
          << (plan.cases.empty() ? "seed " + std::to_string(row.seed) : plan.cases[row.seed]) << ": ";
@@ -83,11 +84,7 @@ int ablate(const Context& context, const std::string& file) {
       }
     } else if (row.failure.empty()) {
       char text[80];
-      std::snprintf(text, sizeof text, "%.1f mm, plans %.1f s", row.outcome.metrics.front().second, [&] {
-        for (const auto& [name, value] : row.outcome.metrics)
-          if (name == "plan_seconds") return value;
-        return 0.0;
-      }());
+      std::snprintf(text, sizeof text, "%.1f mm, plans %.1f s", row.metric("error_mm"), row.metric("plan_seconds"));
       line << text;
     } else {
       line << "failed: " << row.failure;
@@ -96,18 +93,18 @@ int ablate(const Context& context, const std::string& file) {
   };
   context.say(std::to_string(plan.arms.size()) + " arms, " + std::to_string(plan.seeds.size()) +
               (plan.cases.empty() ? " seeds, " : " cases, ") + std::to_string(options.jobs) + " at a time");
-  const auto rows = run_ablation(plan, options);
+  const auto rows = run_sweep(plan, options);
   const std::string json = ablation_json(plan, rows);
   write_text(folder / "ablation.csv", ablation_csv(plan, rows));
   write_text(folder / "ablation.json", json);
   if (context.json) std::cout << json;
   std::vector<std::string> metrics = {"error_mm", "first_plan_loss", "evaluations", "cpu_seconds"};
-  if (plan.measure == "physics") metrics = ablation_metrics(rows);
+  if (plan.measure == "physics") metrics = sweep_metrics(rows);
   for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));
   write_page(context, folder);
   context.say("results in " + folder.string());
-  const bool complete = rows.size() == plan.arms.size() * plan.seeds.size();
-  if (!complete) context.say("interrupted; the same command finishes it");
+  const bool complete = rows.size() == plan.cells();
+  if (!complete) context.say("interrupted; run the same command again to finish it");
   return complete ? 0 : 1;
 }
 

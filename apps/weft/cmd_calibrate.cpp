@@ -18,12 +18,12 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
-/// Finds out before the work whether its result can be kept. @param originals files that must stay as they are.
+/// Checks before the work that its result can be written. @param originals files that must not change.
 void require_place(const fs::path& file, const std::vector<fs::path>& originals) {
   const auto refuse = [&](const std::string& reason) { throw ConfigError("--out = " + file.string() + ": " + reason); };
   std::error_code error;
   for (const auto& original : originals) {
-    if (fs::equivalent(file, original, error)) refuse("is the model that is calibrated; name another file");
+    if (fs::equivalent(file, original, error)) refuse("is the model to calibrate; name another file");
   }
   if (fs::is_directory(file, error)) refuse("is a folder, must be a file");
   const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
@@ -36,7 +36,7 @@ std::string row_name(const CalibrationRow& row) {
   return std::string(row.from_start ? "from the start" : "within a session") + (row.is_known ? ", known" : ", unknown");
 }
 
-/// Factor and added length by the number of segments, some of these.
+/// Factor and added length, for some of the numbers of segments.
 void say_rows(const Context& context, const std::vector<CalibrationRow>& rows) {
   std::size_t longest = 0;
   for (const auto& row : rows) longest = std::max(longest, row.factor.size());
@@ -80,7 +80,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   TrainablePredictor* learner = predictor->trainable();
   if (learner == nullptr)
     given.config.fail(
-        "predictor does not learn and has nothing to calibrate; name a trained one, such as {plugin: emd}");
+        "predictor does not learn, so it cannot be calibrated; name a trained one, such as {plugin: emd}");
   std::vector<fs::path> files;  // of the predictor; the first one is the model
   for (const ConfigNode& named : given.host->files(Predictor::kKind, slot)) files.push_back(named.as_path());
   require_place(out, files);
@@ -89,8 +89,9 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   const Dataset dataset = read_datasets(context, folders, given.task);
   const auto trained_on = learner->trained_on();
   if (trained_on.empty()) {
-    given.host->log(LogLevel::warning,
-                    "the model does not say what it was trained on: of every dataset the validation split is taken");
+    given.host->log(
+        LogLevel::warning,
+        "the model file does not name its training data: only the validation split of each dataset is used");
   }
   const std::vector<std::size_t> examples = unseen_examples(dataset, trained_on);
   const auto origins = dataset.origins();
@@ -100,8 +101,8 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   for (std::size_t d = 0; d < counts.size(); ++d) {
     if (counts[d] == 0) {
       throw ConfigError(folders[d] +
-                        ": holds no example outside of its test split that the model's fit has not seen; "
-                        "leave it out, or make examples of another seed");
+                        ": outside its test split it holds only examples that the model was trained on; "
+                        "leave it out, or make examples with another seed");
     }
     context.say("calibrating on " + std::to_string(counts[d]) + " of the " + std::to_string(all[d]) + " examples of " +
                 folders[d]);
@@ -147,7 +148,7 @@ void register_calibrate(CLI::App& app, Context& context) {
   auto file = std::make_shared<std::string>();
   auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file whose predictor.params.model names the model")->required();
-  command->add_option("--data", *data, "Folders of examples; sigma is to hold for the first one's");
+  command->add_option("--data", *data, "Folders of examples; sigma is calibrated for the first one's");
   command->callback(
       [&context, file, data] { context.action = [&context, file, data] { return calibrate(context, *file, *data); }; });
 }

@@ -15,7 +15,7 @@ struct Arguments {
   bool list = false;
 };
 
-/// JSON knows no infinity; a law that threw has no measure.
+/// JSON has no infinity, and a law that threw has no measure.
 nlohmann::ordered_json number(double value) {
   return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json();
 }
@@ -97,7 +97,7 @@ void register_conformance(CLI::App& app, Context& context) {
   command->add_option("--law", arguments->laws, "Check this law only (repeatable)")->allow_extra_args(false);
   command->add_option("--tolerances", arguments->tolerances, "File of bounds; default: the one beside the library")
       ->check(CLI::ExistingFile);
-  command->add_flag("--list", arguments->list, "List the laws, check nothing");
+  command->add_flag("--list", arguments->list, "List the laws without checking them");
   command->callback(
       [&context, arguments] { context.action = [&context, arguments] { return check(context, *arguments); }; });
 }

@@ -3,7 +3,7 @@
 namespace weft::app {
 
 void register_evaluate(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("evaluate", "Measure a part of weft against what is known to be true");
+  CLI::App* command = app.add_subcommand("evaluate", "Measure a part of weft against known results");
   command->require_subcommand(1);
   register_evaluate_physics(*command, context);
   register_evaluate_prediction(*command, context);

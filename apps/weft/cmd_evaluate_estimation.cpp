@@ -2,6 +2,7 @@
 
 #include "commands.hpp"
 #include "evaluation_run.hpp"
+#include "experiments/estimation_evaluation.hpp"
 
 namespace weft::app {
 namespace {
@@ -16,7 +17,7 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
       [&](const EvaluationCases& cases, const std::filesystem::path& folder) {
         return estimation_runner(cases, evaluation.given.params.data, folder);
       },
-      [](const AblationRow&) { return std::string("done"); });
+      [](const SweepRow&) { return std::string("done"); });
   const std::string json = estimation_evaluation_json(columns);
   write_text(evaluation.out / "estimation.json", json);
   write_text(evaluation.out / "estimation.csv", estimation_evaluation_csv(columns));
@@ -27,7 +28,7 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
   context.say(estimation_evaluation_table(json));
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
-  if (!evaluation.complete) context.say("interrupted; the same command finishes it");
+  if (!evaluation.complete) context.say("interrupted; run the same command again to finish it");
   return evaluation.complete ? 0 : 1;
 }
 

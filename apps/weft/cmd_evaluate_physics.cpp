@@ -6,7 +6,8 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
-#include "experiments/physics/physics.hpp"
+#include "experiments/csv.hpp"
+#include "experiments/physics/suite.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
 #include "session/session.hpp"
@@ -34,20 +35,14 @@ std::string to_json(const std::vector<PhysicsRow>& rows) {
   return nlohmann::ordered_json{{"comparisons", rows.size()}, {"failed", failed}, {"rows", list}}.dump(2) + '\n';
 }
 
-/// RFC 4180: quotes around what people wrote.
 std::string to_csv(const std::vector<PhysicsRow>& rows) {
-  const auto quoted = [](const std::string& text) {
-    std::string out = "\"";
-    for (const char c : text) out += c == '"' ? "\"\"" : std::string(1, c);
-    return out + '"';
-  };
   std::string csv = "test,case,variant,quantity,reference,measured,error,bound,passed,note\n";
   for (const auto& r : rows) {
     char numbers[160];
     std::snprintf(numbers, sizeof(numbers), "%.9g,%.9g,%.9g,%.9g,%s", r.reference, r.measured, r.error, r.bound,
                   r.passed ? "true" : "false");
-    csv += quoted(r.test) + ',' + quoted(r.name) + ',' + quoted(r.variant) + ',' + quoted(r.quantity) + ',' + numbers +
-           ',' + quoted(r.note) + '\n';
+    csv += csv_quoted(r.test) + ',' + csv_quoted(r.name) + ',' + csv_quoted(r.variant) + ',' + csv_quoted(r.quantity) +
+           ',' + numbers + ',' + csv_quoted(r.note) + '\n';
   }
   return csv;
 }
@@ -94,7 +89,7 @@ void register_evaluate_physics(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("physics", "A simulator against closed forms, each with its bound");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
-  command->add_option("config", *file, "Such as configs/experiments/physics.yaml")->required();
+  command->add_option("config", *file, "Experiment file, such as configs/experiments/physics.yaml")->required();
   command->callback([&context, file] { context.action = [&context, file] { return evaluate(context, *file); }; });
 }
 

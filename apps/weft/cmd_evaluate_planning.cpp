@@ -3,17 +3,11 @@
 
 #include "commands.hpp"
 #include "evaluation_run.hpp"
+#include "experiments/planning_evaluation.hpp"
 #include "options.hpp"
 
 namespace weft::app {
 namespace {
-
-double metric(const AblationRow& row, const char* name) {
-  for (const auto& [key, value] : row.outcome.metrics) {
-    if (key == name) return value;
-  }
-  return 0.0;
-}
 
 int evaluate(Context& context, const EvaluationOptions& options, const std::vector<double>& widths) {
   require_distinct("--widths", widths);
@@ -21,10 +15,10 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   const auto columns = evaluation.run(
       [&](const EvaluationCases& cases) { return planning_evaluation(evaluation.session, widths, cases); },
       planning_runner,
-      [](const AblationRow& row) {
+      [](const SweepRow& row) {
         char text[120];
         std::snprintf(text, sizeof text, "%.1f mm (default control: %.1f mm), first plan %.2f s",
-                      metric(row, "error_mm"), metric(row, "default_error_mm"), metric(row, "first_plan_seconds"));
+                      row.metric("error_mm"), row.metric("default_error_mm"), row.metric("first_plan_seconds"));
         return std::string(text);
       });
   const std::string json = planning_evaluation_json(columns);
@@ -37,7 +31,7 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   for (const auto& column : columns) context.say(planning_evaluation_table(column));
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
-  if (!evaluation.complete) context.say("interrupted; the same command finishes it");
+  if (!evaluation.complete) context.say("interrupted; run the same command again to finish it");
   return evaluation.complete ? 0 : 1;
 }
 
@@ -51,7 +45,7 @@ void register_evaluate_planning(CLI::App& app, Context& context) {
   auto widths = std::make_shared<std::vector<double>>();
   for (int i = 1; i <= 10; ++i) widths->push_back(i / 10.0);
   add_evaluation_options(*command, *options);
-  command->add_option("--widths", *widths, "w of all properties")->check(within(0.0, 1.0));
+  command->add_option("--widths", *widths, "Widths w of the knowledge of all properties")->check(within(0.0, 1.0));
   command->callback([&context, options, widths] {
     context.action = [&context, options, widths] { return evaluate(context, *options, *widths); };
   });

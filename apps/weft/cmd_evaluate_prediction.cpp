@@ -3,6 +3,7 @@
 #include <iostream>
 
 #include "commands.hpp"
+#include "experiments/experiment_config.hpp"
 #include "experiments/prediction_evaluation.hpp"
 #include "output.hpp"
 #include "prepared.hpp"

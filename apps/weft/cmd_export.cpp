@@ -118,11 +118,13 @@ void register_export(CLI::App& app, Context& context) {
         return is_frame(text) ? std::string() : text + ", must be last, all, or the number of a frame";
       })
       ->allow_extra_args(false);
-  command->add_option("--every", options->every, "Every n-th frame of 1/60 s; the last ones are always there")
+  command
+      ->add_option("--every", options->every,
+                   "Every n-th frame of 1/60 s; the release and the last frame are always included")
       ->check(within(std::size_t{1}, std::size_t{100000}))
       ->capture_default_str();
   command->add_option("--size", options->size, "Size of the stills in pixels")->capture_default_str();
-  command->add_option("--view", options->view, "Where the stills are seen from")
+  command->add_option("--view", options->view, "Side from which the stills show the cloth")
       ->check(CLI::IsMember({"perspective", "side", "top"}))
       ->capture_default_str();
   command
@@ -132,7 +134,7 @@ void register_export(CLI::App& app, Context& context) {
       ->capture_default_str();
   command
       ->add_option("--range", options->still.range_mm,
-                   "End of the colour scale of distances, mm; 0: a round number that holds the session")
+                   "End of the colour scale of distances, mm; 0: a round number that covers the session")
       ->check(within(0.0, 1e6));
   command->add_flag("--edges", options->still.edges, "Draw the mesh edges in stills");
   command->add_flag("--no-goal", options->no_goal, "Leave the goal out of stills");

@@ -36,7 +36,7 @@ struct Request {
   MeshSize size;
   std::vector<std::string> fine_lines;
   bool yaml = false;
-  std::string command_line;  ///< that makes the same files again, without folders
+  std::string command_line;  ///< makes the same files again; without folders
 };
 
 MeshSize::Line parse_line(const std::string& text) {
@@ -104,7 +104,7 @@ int run_garment(const Context& context, Request request) {
   return 0;
 }
 
-/// The options that were given, as they were, but for the folder of --out.
+/// The given options as they were typed, without the folder of --out.
 std::string recorded_command(const CLI::App& command, const std::string& kind) {
   std::string line = "weft garment " + kind;
   for (const CLI::Option* option : command.get_options()) {

@@ -26,7 +26,7 @@ void parse_shard(const std::string& text, GenerateOptions& options) {
   options.shard_count = count;
 }
 
-/// What the examples depend on: the task and how they are made, and nothing of what is done with them later.
+/// The part of a config that the examples depend on: the task, and how they are made.
 ConfigNode data_config(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
                        const std::filesystem::path& folder) {
   const auto params = describe_params<ExperimentParams>();
@@ -35,8 +35,8 @@ ConfigNode data_config(const ConfigNode& resolved, const Task& task, const Plugi
   return self_contained(examples, params, task, registry, folder);
 }
 
-/// The header a folder goes on with. A folder that an earlier version began, whose config says the same once today's
-/// defaults are filled in, keeps its own identity: a new parameter with a default must not orphan its examples.
+/// The header with which a folder is continued. A folder of an earlier version keeps its identity if its config, with
+/// today's defaults filled in, is the same. So a new parameter with a default does not orphan its examples.
 DatasetHeader continued(const DatasetHeader& header, const ConfigNode& saved, const std::filesystem::path& folder) {
   const auto file = folder / "config.yaml";
   const auto shards = list_shards(folder);
@@ -50,7 +50,7 @@ DatasetHeader continued(const DatasetHeader& header, const ConfigNode& saved, co
   if (earlier.identity == header.identity || earlier.seed != header.seed ||
       earlier.config != ConfigNode::load(file).to_yaml())
     return header;
-  Context plain;  // what is overridden now was not said then
+  Context plain;  // today's overrides are not part of the old config
   const Prepared<ExperimentParams> then(plain, file.string());
   if (data_config(then.resolved, then.task, *then.registry, folder).to_yaml() != saved.to_yaml()) return header;
   DatasetHeader same = header;
@@ -68,13 +68,13 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   check_simulator(given.task.simulator, given.task, *given.host);
   options.folder = output_folder(context, "");
   const ConfigNode saved = data_config(given.resolved, given.task, *given.registry, options.folder);
-  // Threads and machine do not belong to the examples: the files must not depend on them.
+  // The files must not depend on the threads or the machine.
   auto provenance = nlohmann::ordered_json::parse(given.provenance());
   for (const char* key : {"threads", "cores"}) provenance.erase(key);
   const DatasetHeader header =
       continued(make_dataset_header(given.task, given.params.data, given.seed, saved, provenance.dump(2) + "\n"), saved,
                 options.folder);
-  // That of a folder with shards is theirs: generate_dataset() refuses others.
+  // The config of a folder with shards is theirs; generate_dataset() refuses any other.
   if (const auto config = options.folder / "config.yaml";
       list_shards(options.folder).empty() || !std::filesystem::exists(config))
     write_text(config, header.config);
@@ -107,7 +107,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
                 static_cast<long long>(report.made), report.seconds, rate, given.host->threads(),
                 static_cast<long long>(report.kept), static_cast<long long>(report.failed));
   context.say(line);
-  if (report.cancelled) context.say("stopped; the same command makes the rest");
+  if (report.cancelled) context.say("stopped; run the same command again to make the rest");
   return report.cancelled ? 1 : 0;
 }
 

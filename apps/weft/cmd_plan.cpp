@@ -134,8 +134,8 @@ void register_plan(CLI::App& app, Context& context) {
       add_command(app, context, "plan", "Plan alone: the first plan of a session, or one of a recorded session again",
                   plan, options);
   CLI::Option* session = command->add_option("--session", options->session,
-                                             "session.h5, or the folder of a run: plan again from what was seen there");
-  command->add_option("--segment", options->segment, "Segment before which it plans; 1: from the start")
+                                             "session.h5, or the folder of a run: plan again from its observations");
+  command->add_option("--segment", options->segment, "Plan before this segment; 1: at the start")
       ->check(within(1, std::numeric_limits<int>::max()))
       ->needs(session);
 }
@@ -146,7 +146,7 @@ void register_estimate(CLI::App& app, Context& context) {
       add_command(app, context, "estimate",
                   "Estimate the material alone: after every segment of a recorded session, or of the default fold",
                   estimate, options);
-  command->add_option("--session", options->session, "session.h5, or the folder of a run: what was seen there");
+  command->add_option("--session", options->session, "session.h5, or the folder of a run, whose observations are used");
 }
 
 }  // namespace weft::app

@@ -4,9 +4,9 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
+#include "experiments/ablation.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/physics/physics.hpp"
-#include "experiments/sweep.hpp"
 #include "options.hpp"
 #include "simulation/scene.hpp"
 #include "weft/config.hpp"
@@ -64,7 +64,7 @@ std::string file_kind_names() {
   return names;
 }
 
-/// PluginRegistry::find(), which does not know that a kind of file may have been meant.
+/// PluginRegistry::find(), with an error that also names the kinds of files.
 PluginEntry find(const PluginRegistry& registry, const std::string& name) {
   try {
     return registry.find(name);
@@ -149,7 +149,7 @@ void register_describe(CLI::App& app, Context& context) {
       ->add_option("name", *name,
                    "Plugin name, kind/name, or library file; or " + file_kind_names() + ": the keys of such files")
       ->required();
-  command->add_flag("--markdown", *markdown, "As the table of the plugin's README");
+  command->add_flag("--markdown", *markdown, "Print the table for the plugin's README");
   command->callback([&context, name, markdown] {
     context.action = [&context, name, markdown] { return describe(context, *name, *markdown); };
   });

@@ -30,7 +30,7 @@ int run(Context& context, const std::string& file) {
   ConfigNode saved = given.saved_config(folder);
   const EnvironmentParams& environment = given.params.environment;
   if (!environment.simulated() && environment.folder.empty()) {
-    // The command must run from another folder's config as it did from this one.
+    // The command must run in the same folder when the saved config is run from another one.
     const auto started_in = std::filesystem::absolute(place(given.config, "environment.command").folder());
     saved = saved.with("environment.folder", ConfigNode::quoted(started_in.string()));
   }

@@ -14,7 +14,7 @@ std::string frame_name(Index frame) {
   return name;
 }
 
-/// Frames of an earlier, longer run would pass for this run's.
+/// Removes frames of an earlier, longer run, which would look like this run's.
 void remove_old_frames(const std::filesystem::path& folder) {
   std::vector<std::filesystem::path> old;
   for (const auto& entry : std::filesystem::directory_iterator(folder)) {

@@ -63,7 +63,7 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
              given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
   if (context.json) std::cout << report.json;
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
-                report.finished ? "done" : "stopped; the same command goes on",
+                report.finished ? "done" : "stopped; run the same command again to go on",
                 static_cast<long long>(report.iterations), duration(report.seconds).c_str(), model.c_str());
   context.say(line);
   return report.finished ? 0 : 1;

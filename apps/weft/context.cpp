@@ -29,7 +29,7 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
     if (given->is_scalar()) folders.push_back(given->as_path());
     for (std::size_t i = 0; given->is_sequence() && i < given->size(); ++i) folders.push_back((*given)[i].as_path());
   }
-  // Kept for good: main still prints an error whose type may live in a plugin when the command has ended.
+  // Never freed: main prints an error after the command has ended, and the error's type may live in a plugin.
   static auto& kept = *new std::vector<std::shared_ptr<const PluginRegistry>>();
   return kept.emplace_back(std::make_shared<PluginRegistry>(std::move(folders)));
 }

@@ -12,9 +12,9 @@
 
 namespace weft::app {
 
-/// Options every command takes, and what commands need to run. A command registers a CLI11 subcommand and, when it was
-/// chosen, runs in `Context::action`; main prints errors and turns them into exit codes (0 done, 1 failed, 2 wrong
-/// use).
+/// The options that every command takes, and the objects that commands need to run. A command registers a CLI11
+/// subcommand and, if it is chosen, runs in `Context::action`. main prints errors and turns them into exit codes (0
+/// done, 1 failed, 2 wrong use).
 struct Context {
   std::vector<std::string> overrides;  ///< --set key.path=value
   std::optional<std::uint64_t> seed;   ///< --seed
@@ -29,9 +29,9 @@ struct Context {
   /// Registry over `plugin_path` of the config, the environment and the default folders.
   std::shared_ptr<const PluginRegistry> registry(const ConfigNode& config = {}) const;
   std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed) const;
-  /// Set when the user asked to stop, once host() was called.
+  /// Set when the user asks to stop, after host() was called.
   const std::atomic<bool>* cancel_flag() const;
-  /// A line for people: nothing with --quiet or --json.
+  /// Prints a line for people; nothing with --quiet or --json.
   void say(const std::string& line) const;
 };
 

@@ -14,7 +14,7 @@ void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
   command
       .add_option(
           "--goals", options.goals,
-          "Where cases come from, one column of the result each: fresh (made from the seed), test, validation, train")
+          "Sources of cases, one column of the result each: fresh (made from the seed), test, validation, train")
       ->check(CLI::IsMember({"fresh", "test", "validation", "train"}));
   command.add_option("--cases", options.cases, "Cases per column")
       ->check(within(std::int64_t{1}, std::int64_t{100000}));
@@ -41,7 +41,7 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
 }
 
 std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, const MakeRunner& make_runner,
-                                                 const std::function<std::string(const AblationRow&)>& line) {
+                                                 const std::function<std::string(const SweepRow&)>& line) {
   std::shared_ptr<const Dataset> dataset;
   if (std::any_of(options_.goals.begin(), options_.goals.end(), [](const auto& source) { return source != "fresh"; })) {
     const std::filesystem::path folder =
@@ -61,21 +61,21 @@ std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, cons
     columns.push_back(std::move(column));
   }
   for (auto& column : columns) {
-    AblationOptions cells;
+    SweepOptions cells;
     cells.folder = source_folder(column.cases.source);
     cells.jobs = given.host->threads();
     cells.registry = given.registry;
     cells.cancel = context_.cancel_flag();
     cells.runner = make_runner(column.cases, cells.folder);
-    cells.progress = [&](const AblationRow& row, std::size_t done, std::size_t total) {
+    cells.progress = [&](const SweepRow& row, std::size_t done, std::size_t total) {
       context_.say(std::to_string(done) + "/" + std::to_string(total) + "  " + column.plan.arms[row.arm].name +
                    ", seed " + std::to_string(row.seed) + ": " +
                    (row.failure.empty() ? line(row) : "failed: " + row.failure));
     };
     context_.say(column.plan.description + ": " + std::to_string(column.plan.arms.size()) + " x " +
                  std::to_string(column.plan.seeds.size()) + " runs, " + std::to_string(cells.jobs) + " at a time");
-    column.rows = run_ablation(column.plan, cells);
-    complete = complete && column.rows.size() == column.plan.arms.size() * column.plan.seeds.size();
+    column.rows = run_sweep(column.plan, cells);
+    complete = complete && column.rows.size() == column.plan.cells();
   }
   return columns;
 }

@@ -3,7 +3,8 @@
 #include <vector>
 
 #include "context.hpp"
-#include "experiments/estimation_evaluation.hpp"
+#include "experiments/cases.hpp"
+#include "experiments/experiment_config.hpp"
 #include "prepared.hpp"
 
 namespace weft::app {
@@ -22,12 +23,12 @@ class EvaluationRun {
   /// Reads and checks everything that a cell needs, before any work starts.
   EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name);
 
-  using MakePlan = std::function<AblationPlan(const EvaluationCases&)>;
-  using MakeRunner = std::function<AblationRunner(const EvaluationCases&, const std::filesystem::path& folder)>;
-  /// Runs the cells of every source; those that an earlier run finished are read.
-  /// @param line what to say about a row that ran.
+  using MakePlan = std::function<SweepPlan(const EvaluationCases&)>;
+  using MakeRunner = std::function<SweepRunner(const EvaluationCases&, const std::filesystem::path& folder)>;
+  /// Runs the cells of every source. Cells that an earlier run finished are read.
+  /// @param line the text about a row that ran.
   std::vector<EvaluationColumn> run(const MakePlan& make_plan, const MakeRunner& make_runner,
-                                    const std::function<std::string(const AblationRow&)>& line);
+                                    const std::function<std::string(const SweepRow&)>& line);
 
   Prepared<ExperimentParams> given;
   ConfigNode session;  ///< config of the cells

@@ -30,8 +30,8 @@ class Writer {
   explicit Writer(tinygltf::Model& model) : model_(model) { model_.buffers.emplace_back(); }
 
   int add(const Single& rows, int type, int target, bool bounds = false) {
-    const int accessor = append(rows.data(), static_cast<std::size_t>(rows.size()) * sizeof(float),
-                                static_cast<std::size_t>(rows.rows()), TINYGLTF_COMPONENT_TYPE_FLOAT, type, target);
+    const int accessor =
+        append(rows.data(), rows.size() * sizeof(float), rows.rows(), TINYGLTF_COMPONENT_TYPE_FLOAT, type, target);
     if (bounds) {
       const Eigen::RowVectorXd low = rows.colwise().minCoeff().cast<double>(),
                                high = rows.colwise().maxCoeff().cast<double>();
@@ -42,9 +42,8 @@ class Writer {
   }
   int add(const Faces& faces) {
     const Eigen::Matrix<std::uint32_t, Eigen::Dynamic, 3, Eigen::RowMajor> indices = faces.cast<std::uint32_t>();
-    return append(indices.data(), static_cast<std::size_t>(indices.size()) * 4,
-                  static_cast<std::size_t>(indices.size()), TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT, TINYGLTF_TYPE_SCALAR,
-                  TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER);
+    return append(indices.data(), indices.size() * 4, indices.size(), TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT,
+                  TINYGLTF_TYPE_SCALAR, TINYGLTF_TARGET_ELEMENT_ARRAY_BUFFER);
   }
 
  private:
@@ -81,46 +80,36 @@ int add_material(tinygltf::Model& model, const std::string& name, std::vector<do
   return static_cast<int>(model.materials.size()) - 1;
 }
 
-}  // namespace
+constexpr int kVertices = TINYGLTF_TARGET_ARRAY_BUFFER, kVec3 = TINYGLTF_TYPE_VEC3;
 
-void export_gltf(const std::filesystem::path& file, const SessionRecord& session, const Timeline& timeline) {
-  constexpr int kVertices = TINYGLTF_TARGET_ARRAY_BUFFER, kVec3 = TINYGLTF_TYPE_VEC3;
-  tinygltf::Model model;
-  model.asset.version = "2.0";
-  model.asset.generator = "weft";
-  Writer out(model);
-  const int faces = out.add(session.faces);
-  const int uv = out.add(Single(session.rest.cast<float>()), TINYGLTF_TYPE_VEC2, kVertices);
-  const auto add_mesh = [&](const std::string& name, const Positions& positions, int material) {
-    tinygltf::Primitive primitive;
-    primitive.mode = TINYGLTF_MODE_TRIANGLES;
-    primitive.indices = faces;
-    primitive.material = material;
-    primitive.attributes["POSITION"] = out.add(Single(positions.cast<float>()), kVec3, kVertices, true);
-    primitive.attributes["NORMAL"] =
-        out.add(Single(normals_of(positions, session.faces).cast<float>()), kVec3, kVertices);
-    primitive.attributes["TEXCOORD_0"] = uv;
-    tinygltf::Mesh mesh;
-    mesh.name = name;
-    mesh.primitives.push_back(primitive);
-    model.meshes.push_back(mesh);
-    tinygltf::Node node;
-    node.name = name;
-    node.mesh = static_cast<int>(model.meshes.size()) - 1;
-    model.nodes.push_back(node);
-    return static_cast<int>(model.nodes.size()) - 1;
-  };
+/// Adds a mesh of one primitive, and a node that shows it.
+/// @param faces,uv accessors. @return the node.
+int add_mesh(tinygltf::Model& model, Writer& out, const std::string& name, const Positions& positions,
+             const Faces& topology, int faces, int uv, int material) {
+  tinygltf::Primitive primitive;
+  primitive.mode = TINYGLTF_MODE_TRIANGLES;
+  primitive.indices = faces;
+  primitive.material = material;
+  primitive.attributes["POSITION"] = out.add(Single(positions.cast<float>()), kVec3, kVertices, true);
+  primitive.attributes["NORMAL"] = out.add(Single(normals_of(positions, topology).cast<float>()), kVec3, kVertices);
+  primitive.attributes["TEXCOORD_0"] = uv;
+  tinygltf::Mesh mesh;
+  mesh.name = name;
+  mesh.primitives.push_back(primitive);
+  model.meshes.push_back(mesh);
+  tinygltf::Node node;
+  node.name = name;
+  node.mesh = static_cast<int>(model.meshes.size()) - 1;
+  model.nodes.push_back(node);
+  return static_cast<int>(model.nodes.size()) - 1;
+}
 
+/// Frame k > 0 is the first frame plus target k - 1 of the mesh.
+void add_targets(tinygltf::Mesh& mesh, Writer& out, const SessionRecord& session, const Timeline& timeline) {
   const Positions& first = session.frames[timeline.frames.front()];
   const Positions first_normals = normals_of(first, session.faces);
-  const int cloth = add_mesh(session.garment_name, first, add_material(model, "cloth", {0.07, 0.26, 0.56, 1.0}));
-  const int goal = add_mesh("goal", session.goal, add_material(model, "goal", {0.0, 0.25, 0.12, 0.4}));
-
-  // Frame k > 0 is the first frame plus target k - 1; at its time that weight is 1 and all others are 0.
-  const std::size_t keys = timeline.frames.size(), targets = keys - 1;
-  auto& mesh = model.meshes[0];
   tinygltf::Value::Array names;
-  for (std::size_t k = 1; k < keys; ++k) {
+  for (std::size_t k = 1; k < timeline.frames.size(); ++k) {
     const Positions& shape = session.frames[timeline.frames[k]];
     std::map<std::string, int> target;
     target["POSITION"] = out.add(Single((shape - first).cast<float>()), kVec3, kVertices, true);
@@ -130,42 +119,68 @@ void export_gltf(const std::filesystem::path& file, const SessionRecord& session
     mesh.weights.push_back(0.0);
     names.emplace_back("frame " + std::to_string(timeline.frames[k]));
   }
-  if (targets > 0) {
-    mesh.extras = tinygltf::Value(tinygltf::Value::Object{{"targetNames", tinygltf::Value(names)}});
-    Single times(static_cast<Index>(keys), 1);
-    for (std::size_t k = 0; k < keys; ++k) times(static_cast<Index>(k), 0) = static_cast<float>(timeline.seconds[k]);
-    Single weights = Single::Zero(static_cast<Index>(keys * targets), 1);
-    for (std::size_t k = 1; k < keys; ++k) weights(static_cast<Index>(k * targets + k - 1), 0) = 1.0f;
-    tinygltf::AnimationSampler sampler;
-    sampler.input = out.add(times, TINYGLTF_TYPE_SCALAR, 0, true);
-    sampler.output = out.add(weights, TINYGLTF_TYPE_SCALAR, 0);
-    sampler.interpolation = "LINEAR";
-    tinygltf::AnimationChannel channel;
-    channel.sampler = 0;
-    channel.target_node = cloth;
-    channel.target_path = "weights";
-    tinygltf::Animation animation;
-    animation.name = "fold";
-    animation.samplers.push_back(sampler);
-    animation.channels.push_back(channel);
-    model.animations.push_back(animation);
-  }
+  if (!names.empty()) mesh.extras = tinygltf::Value(tinygltf::Value::Object{{"targetNames", tinygltf::Value(names)}});
+}
 
-  // Positions stay in weft's frame, z up; the root turns them to glTF's y up.
+/// At the time of frame k > 0 the weight of target k - 1 is 1 and all others are 0.
+void add_animation(tinygltf::Model& model, Writer& out, const Timeline& timeline, int node) {
+  const std::size_t keys = timeline.frames.size(), targets = keys - 1;
+  Single times(keys, 1);
+  for (std::size_t k = 0; k < keys; ++k) times(k, 0) = static_cast<float>(timeline.seconds[k]);
+  Single weights = Single::Zero(keys * targets, 1);
+  for (std::size_t k = 1; k < keys; ++k) weights(k * targets + k - 1, 0) = 1.0f;
+  tinygltf::AnimationSampler sampler;
+  sampler.input = out.add(times, TINYGLTF_TYPE_SCALAR, 0, true);
+  sampler.output = out.add(weights, TINYGLTF_TYPE_SCALAR, 0);
+  sampler.interpolation = "LINEAR";
+  tinygltf::AnimationChannel channel;
+  channel.sampler = 0;
+  channel.target_node = node;
+  channel.target_path = "weights";
+  tinygltf::Animation animation;
+  animation.name = "fold";
+  animation.samplers.push_back(sampler);
+  animation.channels.push_back(channel);
+  model.animations.push_back(animation);
+}
+
+/// The model's only scene. Positions stay in weft's frame, z up; its root turns them to glTF's y up.
+void add_scene(tinygltf::Model& model, std::vector<int> nodes) {
   tinygltf::Node root;
   root.name = "weft";
   root.rotation = {-std::sqrt(0.5), 0.0, 0.0, std::sqrt(0.5)};
-  root.children = {cloth, goal};
+  root.children = std::move(nodes);
   model.nodes.push_back(root);
   tinygltf::Scene scene;
   scene.nodes = {static_cast<int>(model.nodes.size()) - 1};
   model.scenes.push_back(scene);
   model.defaultScene = 0;
+}
+
+}  // namespace
+
+void export_gltf(const std::filesystem::path& file, const SessionRecord& session, const Timeline& timeline) {
+  tinygltf::Model model;
+  model.asset.version = "2.0";
+  model.asset.generator = "weft";
+  Writer out(model);
+  const int faces = out.add(session.faces);
+  const int uv = out.add(Single(session.rest.cast<float>()), TINYGLTF_TYPE_VEC2, kVertices);
+  const auto add = [&](const std::string& name, const Positions& positions, int material) {
+    return add_mesh(model, out, name, positions, session.faces, faces, uv, material);
+  };
+  const int cloth = add(session.garment_name, session.frames[timeline.frames.front()],
+                        add_material(model, "cloth", {0.07, 0.26, 0.56, 1.0}));
+  const int goal = add("goal", session.goal, add_material(model, "goal", {0.0, 0.25, 0.12, 0.4}));
+  add_targets(model.meshes[0], out, session, timeline);
+  if (timeline.frames.size() > 1) add_animation(model, out, timeline, cloth);
+  add_scene(model, {cloth, goal});
+
   tinygltf::TinyGLTF writer;
   const bool binary = file.extension() != ".gltf";
   WholeFile whole(file);
   if (!writer.WriteGltfSceneToFile(&model, whole.temporary().string(), true, true, false, binary))
-    whole.fail("see whether its folder is there and has room");
+    whole.fail("check that its folder exists and has room");
   whole.commit();
 }
 

@@ -21,7 +21,7 @@ constexpr double kNear = 0.02;
 
 /// Seen from outside the shape: a pinhole camera that looks at a point, z up.
 struct Camera {
-  /// Puts all points into the picture, whatever the direction and the picture's shape.
+  /// Puts all points into the picture, for any direction and any shape of the picture.
   Camera(const std::vector<Vector3d>& points, const Vector3d& direction, int width, int height) {
     const double tangent = std::tan(17.5 * std::numbers::pi / 180.0);  // half the field of view, as on the page
     back = direction.normalized();
@@ -88,7 +88,7 @@ struct Canvas {
       }
     }
   }
-  /// A line of the given thickness in samples, hidden by what is nearer by more than the slack.
+  /// A line of the given thickness in samples, hidden where something is nearer by more than the slack.
   void line(const Vector3d& a, const Vector3d& b, double thickness, const Colour& paint, float opacity, float slack) {
     if (std::min(a.z(), b.z()) < kNear) return;
     const int steps = static_cast<int>(std::max(std::abs(b.x() - a.x()), std::abs(b.y() - a.y()))) + 1;
@@ -163,6 +163,10 @@ struct Surface {
     for (Index v = 0; v < shape.rows(); ++v) projected.push_back(camera.project(shape.row(v).transpose()));
   }
   Vector3d corner(Index face, int k) const { return positions.row(faces(face, k)).transpose(); }
+  /// The projected corners of a face.
+  std::array<Vector3d, 3> corners(Index f) const {
+    return {projected[faces(f, 0)], projected[faces(f, 1)], projected[faces(f, 2)]};
+  }
   bool faces_camera(Index f, const Camera& camera) const {
     const Vector3d a = corner(f, 0);
     return (corner(f, 1) - a).cross(corner(f, 2) - a).dot(camera.eye - a) > 0;
@@ -197,8 +201,7 @@ void draw_shadow(Canvas& canvas, const Camera& camera, const Positions& shape, c
   std::vector<Vector3d> flat;
   for (Index v = 0; v < shape.rows(); ++v) flat.push_back(camera.project({shape(v, 0), shape(v, 1), 2e-4}));
   for (Index f = 0; f < faces.rows(); ++f) {
-    canvas.triangle(flat[static_cast<std::size_t>(faces(f, 0))], flat[static_cast<std::size_t>(faces(f, 1))],
-                    flat[static_cast<std::size_t>(faces(f, 2))],
+    canvas.triangle(flat[faces(f, 0)], flat[faces(f, 1)], flat[faces(f, 2)],
                     [&](std::size_t i, double, double, double, float inverse) {
                       canvas.colour[i] = rgb(0xd4dae0);
                       canvas.near[i] = std::max(canvas.near[i], inverse);
@@ -207,9 +210,89 @@ void draw_shadow(Canvas& canvas, const Camera& camera, const Positions& shape, c
   }
 }
 
+/// What the pictures of a session show: its shapes, the goal and the way of the hands.
+/// One camera for the whole session: stills of several frames fit on each other.
+struct Scene {
+  explicit Scene(const SessionRecord& session) {
+    const std::size_t halfway = session.segment_frame(session.segments()) / 2;
+    for (const Positions* shape :
+         {&session.frames.front(), &session.frames[halfway], &session.frames.back(), &session.goal}) {
+      for (Index v = 0; v < shape->rows(); ++v) points.emplace_back(shape->row(v).transpose());
+      low = low.cwiseMin(shape->colwise().minCoeff().transpose());
+      high = high.cwiseMax(shape->colwise().maxCoeff().transpose());
+    }
+    const std::size_t release = session.segment_frame(session.segments());
+    for (std::size_t f = 0; f <= release; ++f) {
+      for (const Index vertex : session.grasp_vertices) points.emplace_back(session.frames[f].row(vertex).transpose());
+    }
+  }
+  std::vector<Vector3d> points;
+  Vector3d low = Vector3d::Constant(1e9), high = -low;  ///< box of the shapes
+};
+
+/// From what the camera looks at to the camera.
+Vector3d direction_of(View view) {
+  if (view == View::top) return {0, -0.001, 1};
+  if (view == View::side) return {0, -1, 0.06};
+  return {-0.35, -1, 0.72};
+}
+
+/// A round number of mm that holds the distances of the session's last frame.
+double round_range(const SessionRecord& session) {
+  std::vector<double> sorted(session.goal.rows());
+  const Vector at_end = 1000.0 * (session.final_shape - session.goal).rowwise().norm();
+  std::copy(at_end.begin(), at_end.end(), sorted.begin());
+  std::sort(sorted.begin(), sorted.end());
+  return nice_ceiling(
+      std::max({10.0, 0.5 * mean_distance_mm(session.default_shape, session.goal), sorted[sorted.size() * 98 / 100]}));
+}
+
+/// @param base base(face, front, u, v, w): the colour of a point of a face before light falls on it.
+template <class Base>
+void draw_cloth(Canvas& canvas, const Camera& camera, const Surface& cloth, Base base) {
+  for (Index f = 0; f < cloth.faces.rows(); ++f) {
+    const bool front = cloth.faces_camera(f, camera);
+    const auto p = cloth.corners(f);
+    canvas.triangle(p[0], p[1], p[2], [&](std::size_t i, double u, double v, double w, float inverse) {
+      if (inverse <= canvas.near[i]) return;
+      const Colour paint = base(f, front, u, v, w);
+      canvas.colour[i] = (static_cast<float>(cloth.light(f, u, v, w, front ? 1 : -1, camera)) * paint).cwiseMin(1.0f);
+      canvas.near[i] = inverse;
+      canvas.covered[i] = 1;
+    });
+  }
+}
+
+void draw_edges(Canvas& canvas, const Surface& cloth) {
+  for (Index f = 0; f < cloth.faces.rows(); ++f) {
+    const auto p = cloth.corners(f);
+    for (std::size_t k = 0; k < 3; ++k) canvas.line(p[k], p[(k + 1) % 3], 0.34 * kSamples, rgb(0x10202f), 0.5f, 0.002f);
+  }
+}
+
+/// The nearest layer of the goal tints each sample once.
+void draw_goal(Canvas& canvas, const Camera& camera, const Surface& goal) {
+  std::vector<std::pair<float, Colour>> tint(canvas.colour.size(), {0.0f, Colour::Zero()});
+  for (Index f = 0; f < goal.faces.rows(); ++f) {
+    const double side = goal.faces_camera(f, camera) ? 1 : -1;
+    const auto p = goal.corners(f);
+    canvas.triangle(p[0], p[1], p[2], [&](std::size_t i, double u, double v, double w, float inverse) {
+      // As on the page: within a few millimetres of the cloth, the cloth is what shows.
+      const float behind = inverse / (1.0f + 0.006f * inverse);
+      if (behind <= canvas.near[i] || inverse <= tint[i].first) return;
+      tint[i] = {inverse, (static_cast<float>(goal.light(f, u, v, w, side, camera)) * rgb(0x00855f)).cwiseMin(1.0f)};
+    });
+  }
+  for (std::size_t i = 0; i < tint.size(); ++i) {
+    if (tint[i].first <= 0) continue;
+    canvas.colour[i] += (canvas.covered[i] ? 0.42f : 1.0f) * (tint[i].second - canvas.colour[i]);
+    canvas.covered[i] = 1;
+  }
+}
+
 /// Where the hands went up to a frame, and where they are while they hold the cloth.
 void draw_paths(Canvas& canvas, const Camera& camera, const SessionRecord& session, std::size_t frame) {
-  const auto release = static_cast<std::size_t>(session.segment_frame(session.segments()));
+  const std::size_t release = session.segment_frame(session.segments());
   const double pixel = canvas.width / 1600.0;  // the same share of every picture
   for (const Index vertex : session.grasp_vertices) {
     const auto at = [&](std::size_t f) { return camera.project(session.frames[f].row(vertex).transpose()); };
@@ -219,106 +302,14 @@ void draw_paths(Canvas& canvas, const Camera& camera, const SessionRecord& sessi
   }
 }
 
-}  // namespace
-
-double write_still(const std::filesystem::path& file, const SessionRecord& session, std::size_t frame,
-                   const StillOptions& options) {
-  const Positions& shape = session.frames.at(frame);
-  // One camera for the whole session: stills of several frames fit on each other.
-  Vector3d low = Vector3d::Constant(1e9), high = -low;
-  std::vector<Vector3d> scene;
-  const auto halfway = static_cast<std::size_t>(session.segment_frame(session.segments()) / 2);
-  for (const Positions* other :
-       {&session.frames.front(), &session.frames[halfway], &session.frames.back(), &session.goal}) {
-    for (Index v = 0; v < other->rows(); ++v) scene.emplace_back(other->row(v).transpose());
-    low = low.cwiseMin(other->colwise().minCoeff().transpose());
-    high = high.cwiseMax(other->colwise().maxCoeff().transpose());
-  }
-  const auto release = static_cast<std::size_t>(session.segment_frame(session.segments()));
-  for (std::size_t f = 0; f <= release; ++f) {
-    for (const Index vertex : session.grasp_vertices) scene.emplace_back(session.frames[f].row(vertex).transpose());
-  }
-  const Vector3d direction = options.view == View::top    ? Vector3d(0, -0.001, 1)
-                             : options.view == View::side ? Vector3d(0, -1, 0.06)
-                                                          : Vector3d(-0.35, -1, 0.72);
-  const int width = options.width * kSamples, height = options.height * kSamples;
-  const Camera camera(scene, direction, width, height);
-  Canvas canvas(width, height);
-  const bool ground = !options.transparent;
-  if (ground) {
-    std::fill(canvas.colour.begin(), canvas.colour.end(), Colour::Ones());
-    std::fill(canvas.covered.begin(), canvas.covered.end(), static_cast<unsigned char>(1));
-    draw_ground(canvas, camera, low, high);
-    draw_shadow(canvas, camera, shape, session.faces);
-  }
-
-  const Vector distances = 1000.0 * (shape - session.goal).rowwise().norm();
-  double range = options.range_mm;
-  if (options.distance && range <= 0) {
-    std::vector<double> sorted(static_cast<std::size_t>(session.goal.rows()));
-    const Vector at_end = 1000.0 * (session.final_shape - session.goal).rowwise().norm();
-    std::copy(at_end.begin(), at_end.end(), sorted.begin());
-    std::sort(sorted.begin(), sorted.end());
-    range =
-        std::max({10.0, 0.5 * mean_distance_mm(session.default_shape, session.goal), sorted[sorted.size() * 98 / 100]});
-    range = nice_ceiling(range);
-  }
-  const Surface cloth(shape, session.faces, camera);
-  const auto corners = [](const Surface& surface, Index f) {
-    return std::array<Vector3d, 3>{surface.projected[static_cast<std::size_t>(surface.faces(f, 0))],
-                                   surface.projected[static_cast<std::size_t>(surface.faces(f, 1))],
-                                   surface.projected[static_cast<std::size_t>(surface.faces(f, 2))]};
-  };
-  for (Index f = 0; f < session.faces.rows(); ++f) {
-    const bool front = cloth.faces_camera(f, camera);
-    const auto p = corners(cloth, f);
-    canvas.triangle(p[0], p[1], p[2], [&](std::size_t i, double u, double v, double w, float inverse) {
-      if (inverse <= canvas.near[i]) return;
-      Colour base = rgb(front ? 0x4a8bc9 : 0xe5a13c);
-      if (options.distance) {
-        base = viridis((u * distances(session.faces(f, 0)) + v * distances(session.faces(f, 1)) +
-                        w * distances(session.faces(f, 2))) /
-                       range);
-      }
-      canvas.colour[i] = (static_cast<float>(cloth.light(f, u, v, w, front ? 1 : -1, camera)) * base).cwiseMin(1.0f);
-      canvas.near[i] = inverse;
-      canvas.covered[i] = 1;
-    });
-  }
-  if (options.edges) {
-    for (Index f = 0; f < session.faces.rows(); ++f) {
-      const auto p = corners(cloth, f);
-      for (std::size_t k = 0; k < 3; ++k)
-        canvas.line(p[k], p[(k + 1) % 3], 0.34 * kSamples, rgb(0x10202f), 0.5f, 0.002f);
-    }
-  }
-  if (options.goal) {
-    // The nearest layer of the goal tints each sample once.
-    std::vector<std::pair<float, Colour>> tint(canvas.colour.size(), {0.0f, Colour::Zero()});
-    const Surface goal(session.goal, session.faces, camera);
-    for (Index f = 0; f < session.faces.rows(); ++f) {
-      const double side = goal.faces_camera(f, camera) ? 1 : -1;
-      const auto p = corners(goal, f);
-      canvas.triangle(p[0], p[1], p[2], [&](std::size_t i, double u, double v, double w, float inverse) {
-        // As on the page: within a few millimetres of the cloth, the cloth is what shows.
-        const float behind = inverse / (1.0f + 0.006f * inverse);
-        if (behind <= canvas.near[i] || inverse <= tint[i].first) return;
-        tint[i] = {inverse, (static_cast<float>(goal.light(f, u, v, w, side, camera)) * rgb(0x00855f)).cwiseMin(1.0f)};
-      });
-    }
-    for (std::size_t i = 0; i < tint.size(); ++i) {
-      if (tint[i].first <= 0) continue;
-      canvas.colour[i] += (canvas.covered[i] ? 0.42f : 1.0f) * (tint[i].second - canvas.colour[i]);
-      canvas.covered[i] = 1;
-    }
-  }
-
-  if (options.paths) draw_paths(canvas, camera, session, frame);
-
+/// The mean of every pixel's samples; opaque as far as they are covered.
+/// @return [height, width, 4] red, green, blue, alpha.
+std::vector<unsigned char> pixels_of(const Canvas& canvas) {
+  const int width = canvas.width / kSamples, height = canvas.height / kSamples;
   std::vector<unsigned char> pixels;
-  pixels.reserve(static_cast<std::size_t>(options.width) * options.height * 4);
-  for (int y = 0; y < options.height; ++y) {
-    for (int x = 0; x < options.width; ++x) {
+  pixels.reserve(canvas.colour.size() / (kSamples * kSamples) * 4);
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
       Colour sum = Colour::Zero();
       int hits = 0;
       for (int k = 0; k < kSamples * kSamples; ++k) {
@@ -333,6 +324,11 @@ double write_still(const std::filesystem::path& file, const SessionRecord& sessi
       pixels.push_back(static_cast<unsigned char>(255 * hits / (kSamples * kSamples)));
     }
   }
+  return pixels;
+}
+
+void write_png(const std::filesystem::path& file, const StillOptions& options,
+               const std::vector<unsigned char>& pixels) {
   png_image image{};
   image.version = PNG_IMAGE_VERSION;
   image.width = static_cast<png_uint_32>(options.width);
@@ -342,6 +338,38 @@ double write_still(const std::filesystem::path& file, const SessionRecord& sessi
   if (png_image_write_to_file(&image, whole.temporary().c_str(), 0, pixels.data(), 0, nullptr) == 0)
     whole.fail(image.message);
   whole.commit();
+}
+
+}  // namespace
+
+double write_still(const std::filesystem::path& file, const SessionRecord& session, std::size_t frame,
+                   const StillOptions& options) {
+  const Positions& shape = session.frames.at(frame);
+  const Scene scene(session);
+  const int width = options.width * kSamples, height = options.height * kSamples;
+  const Camera camera(scene.points, direction_of(options.view), width, height);
+  Canvas canvas(width, height);
+  if (!options.transparent) {
+    std::fill(canvas.colour.begin(), canvas.colour.end(), Colour::Ones());
+    std::fill(canvas.covered.begin(), canvas.covered.end(), static_cast<unsigned char>(1));
+    draw_ground(canvas, camera, scene.low, scene.high);
+    draw_shadow(canvas, camera, shape, session.faces);
+  }
+
+  double range = options.range_mm;
+  if (options.distance && range <= 0) range = round_range(session);
+  const Vector distances = 1000.0 * (shape - session.goal).rowwise().norm();
+  const Surface cloth(shape, session.faces, camera);
+  draw_cloth(canvas, camera, cloth, [&](Index f, bool front, double u, double v, double w) {
+    if (!options.distance) return rgb(front ? 0x4a8bc9 : 0xe5a13c);
+    return viridis(
+        (u * distances(session.faces(f, 0)) + v * distances(session.faces(f, 1)) + w * distances(session.faces(f, 2))) /
+        range);
+  });
+  if (options.edges) draw_edges(canvas, cloth);
+  if (options.goal) draw_goal(canvas, camera, Surface(session.goal, session.faces, camera));
+  if (options.paths) draw_paths(canvas, camera, session, frame);
+  write_png(file, options, pixels_of(canvas));
   return range;
 }
 

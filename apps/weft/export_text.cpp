@@ -12,7 +12,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A text that grows line by line, of a file that appears whole or not at all.
+/// Writes a text line by line; the file appears whole or not at all.
 class TextFile {
  public:
   explicit TextFile(fs::path file) : whole_(std::move(file)), stream_(whole_.temporary()) {}
@@ -25,7 +25,7 @@ class TextFile {
   void text(const std::string& text) { stream_ << text; }
   void commit() {
     stream_.close();
-    if (!stream_) whole_.fail("see whether its folder is there and has room");
+    if (!stream_) whole_.fail("check that its folder exists and has room");
     whole_.commit();
   }
 
@@ -37,8 +37,7 @@ class TextFile {
 fs::path make_folder(const fs::path& folder) {
   std::error_code error;
   fs::create_directories(folder, error);
-  if (!fs::is_directory(folder))
-    throw ConfigError(folder.string() + ": is no folder that can be made: " + error.message());
+  if (!fs::is_directory(folder)) throw ConfigError(folder.string() + ": the folder cannot be made: " + error.message());
   return folder;
 }
 
@@ -63,7 +62,7 @@ std::string identifier(const std::string& name) {
 
 Timeline every_nth(const SessionRecord& session, std::size_t n) {
   const std::size_t last = session.frames.size() - 1;
-  const auto release = static_cast<std::size_t>(session.segment_frame(session.segments()));
+  const std::size_t release = session.segment_frame(session.segments());
   Timeline timeline;
   for (std::size_t frame = 0; frame <= last; ++frame) {
     if (frame % n != 0 && frame != release && frame != last) continue;
@@ -146,7 +145,7 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   };
   const auto names = [&](const char* kind, Index count) {
     for (Index c = 0; c < count; ++c) {
-      const auto i = static_cast<std::size_t>(c);
+      const std::size_t i = c;
       const bool named = trajectory.is_object() && trajectory.contains(kind) && i < trajectory[kind].size();
       segments.text("," +
                     (named ? trajectory[kind][i]["name"].get<std::string>() : std::string(kind) + std::to_string(c)));
@@ -161,7 +160,7 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   segments.text("\n");
   for (std::size_t r = 0; r < session.rounds.size(); ++r) {
     const auto& round = session.rounds[r];
-    const double error = mean_distance_mm(session.shape_after(static_cast<Index>(r)), session.goal);
+    const double error = mean_distance_mm(session.shape_after(r), session.goal);
     segments.print("%zu,%.9g,%.9g,%.9g,%.9g,%td", r + 1, error, number_of("predicted_error_mm", r),
                    number_of("plan_seconds", r), number_of("estimate_seconds", r), round.controls.rows());
     for (Index c = 0; c < round.controls.cols(); ++c) segments.print(",%.9g", round.controls(0, c));

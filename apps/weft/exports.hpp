@@ -33,7 +33,7 @@ struct StillOptions {
   bool paths = true;  ///< where the hands went up to this frame
   bool edges = false;
   bool distance = false;     ///< colour by distance to the goal instead of front and back
-  double range_mm = 0.0;     ///< end of the colour scale; 0: a round number that holds this session
+  double range_mm = 0.0;     ///< end of the colour scale; 0: a round number that covers this session
   bool transparent = false;  ///< no background
 };
 /// Draws one frame, the same way as the page does, without a browser or a graphics card: same session, same picture.

@@ -7,7 +7,7 @@
 
 namespace {
 
-/// What to say of a word that stands where a command must and is none; empty when there is no such word.
+/// The error about a word in the place of a command that is not one. Empty if there is no such word.
 std::string unknown_command(const CLI::App& app) {
   const CLI::App* innermost = &app;
   while (!innermost->get_subcommands().empty()) innermost = innermost->get_subcommands().front();
@@ -16,7 +16,7 @@ std::string unknown_command(const CLI::App& app) {
     known.push_back(command->get_name());
   const std::vector<std::string> rest = innermost->remaining();
   if (known.empty() || rest.empty() || rest.front().starts_with("-")) return "";
-  return "'" + rest.front() + "' is no command of weft" + (innermost == &app ? "" : " " + innermost->get_name()) +
+  return "'" + rest.front() + "' is not a command of weft" + (innermost == &app ? "" : " " + innermost->get_name()) +
          ", must be " + weft::one_of(known) + weft::nearest_hint(rest.front(), known);
 }
 

@@ -13,11 +13,11 @@ namespace weft::app {
 /// Adds --out, --jobs, --quiet and --json: the common options of a subcommand that reads no config.
 void add_output_options(CLI::App& command, Context& context);
 
-/// Context::registry() for a command without a config: of --set it takes plugin_path. @throws ConfigError for other
-/// keys.
+/// Context::registry() for a command without a config: it takes only plugin_path from --set. @throws ConfigError for
+/// other keys.
 std::shared_ptr<const PluginRegistry> registry_of_overrides(const Context& context);
 
-/// An option's check: a number in [lower, upper], and no NaN; a refusal says what is allowed.
+/// An option's check: a number in [lower, upper], and no NaN. The refusal says which numbers are allowed.
 template <class Number>
 CLI::Validator within(Number lower, Number upper) {
   const auto text = [](Number value) {

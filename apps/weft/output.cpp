@@ -21,7 +21,7 @@ fs::path output_folder(const Context& context, const std::string& name) {
   std::error_code error;
   fs::create_directories(folder, error);
   if (!fs::is_directory(folder))
-    throw ConfigError("--out " + folder.string() + ": is not a folder that can be made: " + error.message());
+    throw ConfigError("--out " + folder.string() + ": the folder cannot be made: " + error.message());
   return folder;
 }
 

@@ -12,7 +12,7 @@ namespace weft::app {
 /// The folder of a result: what --out names, or results/<name>. Made here. @throws ConfigError if it is a file.
 std::filesystem::path output_folder(const Context& context, const std::string& name);
 
-/// session.h5 of what a user names: the file, or the folder of a run. @throws ConfigError when there is none.
+/// session.h5 of the path that a user gives: the file, or the folder of a run. @throws ConfigError when there is none.
 std::filesystem::path session_file(const std::string& given);
 
 /// Version, commit, plugins used, threads and machine: enough, with the resolved config, to repeat a run exactly.
@@ -20,11 +20,11 @@ std::string provenance_json(const PluginRegistry& registry, const Host& host, st
 
 /// Makes the resolved config of a task independent of where its files lie: the garment goes into the folder as
 /// garment.obj, the material space into the config itself, every plugin slot gets every default.
-/// @param params what the config's keys are: describe_params<...>().
+/// @param params the config's keys: describe_params<...>().
 ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
                           const PluginRegistry& registry, const std::filesystem::path& folder);
 
-/// Writes folder/report.html from the results that lie there, and says where it is, or why there is none.
+/// Writes folder/report.html from the results in the folder. Says where the page is, or why there is none.
 void write_page(const Context& context, const std::filesystem::path& folder);
 
 }  // namespace weft::app

@@ -11,8 +11,8 @@
 
 namespace weft::app {
 
-/// A config as a command needs it: its parameters, the task, and who runs it. What is wrong in the config shows here,
-/// before any work.
+/// A config as a command needs it: its parameters, the task and the host. Errors in the config show here, before any
+/// work.
 /// @tparam Params SessionParams, or derived from it.
 template <class Params>
 struct Prepared {
@@ -45,7 +45,7 @@ std::filesystem::path model_file(const Context& context, const std::string& comm
 /// Reads datasets of one task, the first one first.
 Dataset read_datasets(const Context& context, const std::vector<std::string>& folders, const Task& task);
 
-/// Warns when examples of a split, or of `all`, are not to this predictor what the split's name says.
+/// Warns when this predictor was fitted or calibrated with examples of a split that should be fresh to it, or of `all`.
 void warn_unless_held_out(Predictor& predictor, const Dataset& dataset, const std::string& split, Host& host);
 
 }  // namespace weft::app

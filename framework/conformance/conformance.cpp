@@ -87,7 +87,7 @@ std::vector<LawResult> check_conformance(Host& host, const std::string& kind, co
   keys.insert(keys.end(), {"params", "task"});
   if (!tolerances.is_null()) tolerances.refuse_unknown_keys(keys);
 
-  // Everything that the file says is read before any law runs.
+  // The whole file is read before any law runs.
   std::vector<LawResult> results;
   for (const auto& law : laws) {
     LawResult result = conformance::blank(law);
@@ -95,7 +95,7 @@ std::vector<LawResult> check_conformance(Host& host, const std::string& kind, co
       given->refuse_unknown_keys({"bound", "reason"});
       result.bound = given->at("bound").as_double();
       if (!given->has("reason") || given->at("reason").as_string().empty())
-        given->fail("has no reason; a bound other than the kit's needs one");
+        given->fail("has no reason; a bound that replaces the kit's needs one");
     }
     if (only.empty() || std::find(only.begin(), only.end(), result.law) != only.end()) results.push_back(result);
   }
@@ -104,17 +104,17 @@ std::vector<LawResult> check_conformance(Host& host, const std::string& kind, co
     full = full.with("params", full.has("params") ? params->merged(full.at("params")) : *params);
   const conformance::Bench bench{host, full, tolerances.find("task").value_or(ConfigNode())};
 
-  conformance::prepare(kind, bench);  // wrong parameters or tasks are the user's, not a law's
+  conformance::prepare(kind, bench);  // a wrong parameter or task is the user's error and fails no law
 
   for (auto& result : results) {
-    const auto& law = laws[static_cast<std::size_t>(std::find(names.begin(), names.end(), result.law) - names.begin())];
+    const auto& law = laws[std::find(names.begin(), names.end(), result.law) - names.begin()];
     conformance::Outcome outcome;
     try {
       outcome = law.check(bench);
     } catch (const std::exception& error) {
       outcome = conformance::failed(std::string("threw: ") + error.what());
     } catch (...) {
-      outcome = conformance::failed("threw something that is no std::exception");
+      outcome = conformance::failed("threw something that is not a std::exception");
     }
     result.measured = outcome.measured;
     result.detail = outcome.detail;

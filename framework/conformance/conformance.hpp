@@ -10,15 +10,15 @@ namespace weft {
 /// Outcome of one law.
 struct LawResult {
   std::string law;   ///< "restored_run_is_bit_exact"
-  std::string text;  ///< what it demands, in one line
+  std::string text;  ///< the law in one line
   double measured = 0;
   double bound = 0;  ///< measured <= bound passes
   bool passed = false;
   std::string detail;  ///< why it failed; for an undeclared capability: "not declared; throws Unsupported"
 };
 
-/// Checks a plugin against the laws of its kind. Laws follow declared capabilities, never plugin names: declared must
-/// hold, undeclared must throw Unsupported.
+/// Checks a plugin against the laws of its kind. Laws follow declared capabilities, never plugin names: a declared
+/// capability must work, an undeclared one must throw Unsupported.
 /// @param host makes the plugin (and the simulator and trajectory of a predictor's task) from its registry.
 /// @param slot {plugin, params}, or a bare name or library file.
 /// @param tolerances mapping law -> {bound, reason} that replaces the default bound; `params:` to run with; for

@@ -11,10 +11,10 @@
 #include "conformance/conformance.hpp"
 #include "weft/predictor.hpp"
 
-/// What the laws of every kind share. Internal to the conformance kit.
+/// Shared by the laws of all kinds. Internal to the conformance kit.
 namespace weft::conformance {
 
-/// What the kit was asked to check, and with what.
+/// The plugin under check, and the host and task for it.
 struct Bench {
   Host& host;
   ConfigNode slot;  ///< {plugin, params}
@@ -43,16 +43,16 @@ const std::vector<Law>& predictor_laws();
 const std::vector<Law>& trajectory_laws();
 const std::vector<Law>& optimiser_laws();
 
-/// The task that predictors are bound to: `task:` of the tolerances where given, the kit's towel fold otherwise.
+/// The task that predictors are bound to: `task:` of the tolerances if given, else the kit's towel fold.
 Task predictor_task(const Bench& bench);
 
 inline Outcome failed(std::string why) { return {std::numeric_limits<double>::infinity(), std::move(why)}; }
-/// The ability is not declared and asking for it was refused.
+/// The capability is not declared, and the call for it was refused.
 inline Outcome undeclared() { return {0.0, "not declared; throws Unsupported"}; }
-/// The ability is not declared and the interface has no call that could refuse it.
+/// The capability is not declared, and the interface has no call for it.
 inline Outcome undeclared_without_call() { return {0.0, "not declared; there is no call to refuse"}; }
 
-/// Counts calls that should have been refused and were not.
+/// Counts the calls that were not refused but should have been.
 class Refusals {
  public:
   /// Runs `call`, which must throw one of Wanted... (or something derived from it).
@@ -77,8 +77,8 @@ class Refusals {
   std::string detail_;
 };
 
-/// The largest value that a law measures, at least 0. A NaN stays, so that the law fails: std::max() and Eigen's
-/// maxCoeff() pass over NaN.
+/// The largest value that a law measures, at least 0. A NaN stays, so that the law fails; std::max() and Eigen's
+/// maxCoeff() would ignore it.
 class Worst {
  public:
   void add(double value) {
@@ -97,7 +97,7 @@ class Worst {
   double worst_ = 0.0;
 };
 
-/// Numbers that differ in at least one bit; a different shape counts as all of them.
+/// The number of entries that differ in at least one bit; all of them if the shapes differ.
 template <class A, class B>
 double differing(const A& a, const B& b) {
   if (a.rows() != b.rows() || a.cols() != b.cols()) return static_cast<double>(std::max(a.size(), b.size()));

@@ -1,4 +1,4 @@
-// The laws of an optimiser. They ask for cost reductions within a budget, never for minimisers.
+// The laws of an optimiser. They demand cost reductions within a budget, never minimisers.
 #include <algorithm>
 #include <atomic>
 #include <functional>
@@ -21,7 +21,7 @@ struct Point {
 };
 using Function = std::function<Point(const Vector& x)>;
 
-/// A test function as an objective that watches how it is called.
+/// A test function as an objective that records how it is called.
 class Watched final : public Objective {
  public:
   Watched(Index dim, Function function, const OptimiserCapabilities& solver)
@@ -40,8 +40,7 @@ class Watched final : public Objective {
     if (request.residuals && offered_.residuals == 0) throw Unsupported("conformance: residuals are not offered");
     asked_gradients |= request.gradients;
     asked_residuals |= request.residuals;
-    well_formed &=
-        x.rows() == dim_ && x.cols() == static_cast<Index>(instances.size()) && x.cols() > 0 && x.allFinite();
+    well_formed &= x.rows() == dim_ && x.cols() == std::ssize(instances) && x.cols() > 0 && x.allFinite();
     for (std::size_t i = 0; i < instances.size(); ++i) {
       well_formed &= instances[i] >= 0 && instances[i] < count && (i == 0 || instances[i] >= instances[i - 1]);
     }
@@ -56,7 +55,7 @@ class Watched final : public Objective {
       Point p = function_(at);
       double cost = 0.5 * p.r.squaredNorm();
       Vector gradient = p.j.transpose() * p.r;
-      const Index instance = instances[static_cast<std::size_t>(i)];
+      const Index instance = instances[i];
       if (hole && hole(at, instance)) {
         cost = instance % 2 == 0 ? kInfinity : kNaN;
         gradient.setConstant(kNaN);
@@ -135,7 +134,7 @@ struct Search {
     objective.count = starts.cols();
     objective.box = box;
     auto results = optimiser.minimise(objective, starts, box, scale, options, observer);
-    require_shape("results of minimise()", static_cast<Index>(results.size()), starts.cols());
+    require_shape("results of minimise()", results.size(), starts.cols());
     for (const auto& r : results) require_shape("x of a result", r.x.size(), starts.rows());
     return results;
   }
@@ -143,7 +142,7 @@ struct Search {
   double worst_ratio(const std::vector<OptimiserResult>& results, double least = 0.0) const {
     Worst worst;
     for (std::size_t i = 0; i < results.size(); ++i) {
-      const double from = objective.cost(starts.col(static_cast<Index>(i)));
+      const double from = objective.cost(starts.col(i));
       worst.add((objective.cost(results[i].x) - least) / (from - least));
     }
     return worst.value();
@@ -210,7 +209,7 @@ Outcome finds_a_minimum_on_the_boundary(const Bench& bench) {
 
 Outcome survives_holes(const Bench& bench) {
   const auto o = bench.make<Optimiser>();
-  // The minimum (0.3, -0.4, 0.9) lies in the part x_0 > 0 where nothing can be evaluated; so does the last start.
+  // The minimum (0.3, -0.4, 0.9) and the last start lie in the part x_0 > 0, where the cost is not finite.
   Matrix starts = spread(3, 3);
   starts.row(0) << -1.5, -0.9, 1.0;
   Search s(*o, 3, small_bowl(), starts);
@@ -218,18 +217,18 @@ Outcome survives_holes(const Bench& bench) {
   const auto results = s.run();
   Worst worst;
   for (Index i = 0; i < 2; ++i) {
-    const auto& r = results[static_cast<std::size_t>(i)];
+    const auto& r = results[i];
     if (!std::isfinite(r.cost) || !r.x.allFinite() || r.x[0] > 0.0)
-      return failed("the result of an instance that started outside the hole lies in it");
+      return failed("an instance that started outside the hole ended in it");
     worst.add(r.cost / s.objective.cost(starts.col(i)));
   }
   const auto& last = results[2];
-  if (!last.x.allFinite()) return failed("x of an instance that started in the hole is not finite");
+  if (!last.x.allFinite()) return failed("an instance that started in the hole returned a non-finite x");
   if (std::isnan(last.cost))
-    return failed("cost of an instance that started in the hole is NaN; must be +infinity or finite");
-  if (std::isfinite(last.cost) && last.x[0] > 0.0) return failed("reports a finite cost for a point in the hole");
+    return failed("an instance that started in the hole returned the cost NaN, must be +infinity or finite");
+  if (std::isfinite(last.cost) && last.x[0] > 0.0) return failed("the result has a finite cost at a point in the hole");
   if (!std::isfinite(last.cost) && last.status != OptimiserStatus::diverged)
-    return failed(std::string("found no finite cost, but reports ") + to_string(last.status));
+    return failed(std::string("without a finite cost the status is ") + to_string(last.status) + ", must be diverged");
   return worst.outcome();
 }
 
@@ -239,7 +238,7 @@ Outcome a_failed_instance_costs_only_itself(const Bench& bench) {
   holed.objective.hole = [](const Vector&, Index instance) { return instance == 1; };
   const auto a = sound.run(), b = holed.run();
   if (b[1].status != OptimiserStatus::diverged)
-    return failed(std::string("an instance without any finite cost ends as ") + to_string(b[1].status));
+    return failed(std::string("an instance without a finite cost ended as ") + to_string(b[1].status));
   return {differing_results(a[0], b[0]) + differing_results(a[2], b[2]), ""};
 }
 
@@ -252,9 +251,9 @@ Outcome asks_only_for_what_it_needs(const Bench& bench) {
   s.run();
   Refusals wrong;
   if (s.objective.asked_gradients && !capabilities.needs_gradients)
-    wrong.miss("gradients were asked for, but are not declared");
+    wrong.miss("gradients were requested, but are not declared");
   if (s.objective.asked_residuals && !capabilities.needs_residuals)
-    wrong.miss("residuals were asked for, but are not declared");
+    wrong.miss("residuals were requested, but are not declared");
   return wrong.outcome();
 }
 
@@ -277,7 +276,7 @@ Outcome refuses_objectives_that_lack_what_it_needs(const Bench& bench) {
     s.run();  // costs are enough
   }
   if (s.objective.calls > 0 && (capabilities.needs_gradients || capabilities.needs_residuals))
-    refusals.miss("the objective was evaluated before the refusal: it");
+    refusals.miss("the objective was evaluated before the refusal");
   return refusals.outcome();
 }
 
@@ -287,19 +286,18 @@ Outcome instances_do_not_affect_one_another(const Bench& bench) {
   Search all(*o, 3, small_bowl(), starts);
   const auto together = all.run();
   double wrong = 0.0;
-  // Noise and batch rows are keyed on the instance, so the first n alone are what they are among more.
+  // Noise and batch rows are keyed on the instance, so the first n instances give the same bits without the others.
   for (Index n : {1, 2, 3}) {
     Search fewer(*o, 3, small_bowl(), starts.leftCols(n));
     const auto results = fewer.run();
-    for (Index i = 0; i < n; ++i)
-      wrong += differing_results(results[static_cast<std::size_t>(i)], together[static_cast<std::size_t>(i)]);
+    for (Index i = 0; i < n; ++i) wrong += differing_results(results[i], together[i]);
   }
-  // Nor does it matter where the others start.
+  // The starts of the others do not matter either.
   Matrix moved = spread(3, 4, 1);
   moved.col(2) = starts.col(2);
   Search others(*o, 3, small_bowl(), moved);
   wrong += differing_results(others.run()[2], together[2]);
-  // Where the seed changes nothing, an instance does not depend on its number either.
+  // If the seed changes nothing, an instance does not depend on its number either.
   Search reseeded(*o, 3, small_bowl(), starts);
   reseeded.options.seed = 2;
   if (differing_results(reseeded.run()[2], together[2]) == 0) {
@@ -319,18 +317,17 @@ Outcome budget_is_respected(const Bench& bench) {
     const auto results = s.run();
     for (std::size_t i = 0; i < results.size(); ++i) {
       const auto& r = results[i];
-      const Index counted = s.objective.evaluations[static_cast<Index>(i)];
+      const Index counted = s.objective.evaluations[i];
       if (counted > evaluations)
-        wrong.miss(std::to_string(counted) + " evaluations where " + std::to_string(evaluations) +
-                   " were allowed: that");
+        wrong.miss(std::to_string(counted) + " evaluations, at most " + std::to_string(evaluations) + " are allowed");
       if (r.evaluations != counted)
-        wrong.miss("a result that reports " + std::to_string(r.evaluations) + " evaluations of " +
+        wrong.miss("a result reports " + std::to_string(r.evaluations) + " evaluations, there were " +
                    std::to_string(counted));
       if (r.iterations > iterations)
-        wrong.miss(std::to_string(r.iterations) + " iterations where " + std::to_string(iterations) +
-                   " were allowed: that");
+        wrong.miss(std::to_string(r.iterations) + " iterations, at most " + std::to_string(iterations) +
+                   " are allowed");
       if (r.status != OptimiserStatus::budget_spent && r.status != OptimiserStatus::converged)
-        wrong.miss(std::string("a spent budget that ends as ") + to_string(r.status));
+        wrong.miss(std::string("a search with a spent budget ended as ") + to_string(r.status));
     }
   }
   return wrong.outcome();
@@ -340,7 +337,7 @@ Outcome never_leaves_the_box(const Bench& bench) {
   const auto o = bench.make<Optimiser>();
   Vector centre(4);
   centre << 3.0, -3.0, 0.3, -0.1;
-  Search s(*o, 4, bowl(centre, ramp(4, 1.0, 10.0)), 4.0 * spread(4, 3), 1.0);  // starts out of the box as well
+  Search s(*o, 4, bowl(centre, ramp(4, 1.0, 10.0)), 4.0 * spread(4, 3), 1.0);  // some starts lie outside the box
   const auto results = s.run();
   Worst outside = s.objective.outside;
   for (const auto& r : results) {
@@ -358,21 +355,21 @@ Outcome observer_stops_the_search(const Bench& bench) {
   Vector before = Vector::Constant(3, kInfinity);
   const auto caller = std::this_thread::get_id();
   const auto results = s.run([&](Index, const Vector& best) {
-    if (std::this_thread::get_id() != caller) wrong.miss("the observer was called on another thread: that");
+    if (std::this_thread::get_id() != caller) wrong.miss("the observer was called on another thread");
     if (best.size() != 3 || best.hasNaN() || (best.size() == 3 && (best.array() > before.array()).any()))
-      wrong.miss("best costs that rise or are none");
+      wrong.miss("the best costs rose, or their number is wrong");
     else
       before = best;
     ++seen;
     calls_then = s.objective.calls;
     return seen < 3;
   });
-  if (seen != 3) wrong.miss("the observer was called " + std::to_string(seen) + " times, wanted 3: that");
-  if (s.objective.calls != calls_then) wrong.miss("the objective was evaluated after the observer said stop: that");
+  if (seen != 3) wrong.miss("the observer was called " + std::to_string(seen) + " times, must be 3");
+  if (s.objective.calls != calls_then) wrong.miss("the objective was evaluated after the observer returned false");
   for (std::size_t i = 0; i < results.size(); ++i) {
     if (results[i].status != OptimiserStatus::stopped)
       wrong.miss(std::string("a stopped search that ends as ") + to_string(results[i].status));
-    if (results[i].cost != before[static_cast<Index>(i)]) wrong.miss("a cost that is not the last one observed");
+    if (results[i].cost != before[i]) wrong.miss("a cost that is not the last one observed");
   }
   return wrong.outcome();
 }
@@ -385,7 +382,7 @@ Outcome the_best_point_is_returned(const Bench& bench) {
     s.options.max_iterations = iterations;
     const auto results = s.run();
     for (std::size_t i = 0; i < results.size(); ++i) {
-      const auto& [cost, x] = s.objective.best[static_cast<Index>(i)];
+      const auto& [cost, x] = s.objective.best[i];
       if (results[i].cost != cost || results[i].x != x) ++wrong;
     }
   }
@@ -490,43 +487,42 @@ const std::vector<Law>& optimiser_laws() {
       {"solves_rosenbrock", "Rosenbrock's valley from three sides, same budget: final over initial cost.", 0.05,
        solves_rosenbrock},
       {"finds_a_minimum_on_the_boundary",
-       "A bowl whose minimum is on two faces of the box: what is left of the excess cost.", 1e-2,
+       "A bowl whose minimum is on two faces of the box: final over initial excess cost.", 1e-2,
        finds_a_minimum_on_the_boundary},
       {"survives_holes",
-       "Costs and gradients beyond a wall are not finite; the minimum lies there: final over initial cost.", 0.5,
+       "Costs and gradients beyond a wall, where the minimum lies, are not finite: final over initial cost.", 0.5,
        survives_holes},
       {"a_failed_instance_costs_only_itself",
-       "An instance without any finite cost ends as diverged and changes no other (numbers that differ).", 0,
+       "An instance without a finite cost ends as diverged and changes no other (numbers that differ).", 0,
        a_failed_instance_costs_only_itself},
-      {"asks_only_for_what_it_needs",
-       "Gradients and residuals are asked for only when declared as needed (violations).", 0,
-       asks_only_for_what_it_needs},
+      {"asks_only_for_what_it_needs", "Gradients and residuals are requested only if declared as needed (violations).",
+       0, asks_only_for_what_it_needs},
       {"refuses_objectives_that_lack_what_it_needs",
-       "An objective without what is needed is refused with Unsupported (accepted).", 0,
+       "An objective that lacks needed gradients or residuals is refused with Unsupported (accepted).", 0,
        refuses_objectives_that_lack_what_it_needs},
       {"instances_do_not_affect_one_another",
-       "An instance ends the same alone or in a batch, bit for bit (numbers that differ).", 0,
+       "An instance gives the same bits alone and in a batch (numbers that differ).", 0,
        instances_do_not_affect_one_another},
       {"budget_is_respected",
-       "max_iterations and max_evaluations are never exceeded and reported as counted (violations).", 0,
+       "max_iterations and max_evaluations are never exceeded, and the reported counts are right (violations).", 0,
        budget_is_respected},
       {"never_leaves_the_box", "Nothing is evaluated or returned outside the box (units of x).", 0,
        never_leaves_the_box},
       {"observer_stops_the_search",
-       "The observer sees falling best costs on the caller's thread, and its no ends the search (violations).", 0,
+       "The observer gets falling best costs on the caller's thread, and false ends the search (violations).", 0,
        observer_stops_the_search},
       {"the_best_point_is_returned", "x and cost are those of the best evaluation (instances that differ).", 0,
        the_best_point_is_returned},
       {"same_seed_same_bits", "Same seed, same bits, also from a second object (numbers that differ).", 0,
        same_seed_same_bits},
-      {"same_bits_on_two_threads", "Two searches at once end as one alone (numbers that differ).", 0,
+      {"same_bits_on_two_threads", "Two searches in parallel give the bits of one alone (numbers that differ).", 0,
        same_bits_on_two_threads},
-      {"batches_are_well_formed", "Instances come ascending, with finite points; none means none (violations).", 0,
+      {"batches_are_well_formed", "Instances ascend, points are finite, and a batch is never empty (violations).", 0,
        batches_are_well_formed},
-      {"errors_of_the_objective_pass_through", "What the objective throws reaches the caller (swallowed).", 0,
+      {"errors_of_the_objective_pass_through", "Exceptions of the objective reach the caller (swallowed).", 0,
        errors_of_the_objective_pass_through},
       {"refuses_bad_shapes", "Wrong sizes are refused with ShapeError (accepted).", 0, refuses_bad_shapes},
-      {"refuses_nan", "Starts, boxes and scales that are not finite or make no sense are refused (accepted).", 0,
+      {"refuses_nan", "Starts, boxes and scales that are not finite or out of range are refused (accepted).", 0,
        refuses_nan},
   };
   return laws;

@@ -19,7 +19,7 @@ MaterialSpace material_space() {
   return space;
 }
 
-/// A bound predictor and what it is asked.
+/// A bound predictor and the cases for it.
 struct Fold {
   explicit Fold(const Bench& bench) : task(predictor_task(bench)), predictor(bench.make<Predictor>()) {
     predictor->bind(task);
@@ -30,13 +30,13 @@ struct Fold {
     shape = std::make_shared<const Positions>(flat);
   }
 
-  /// Controls near the default ones and inside their bounds by a margin, so that differences can be taken.
+  /// Controls near the default ones. They keep a margin to their bounds for finite differences.
   Controls controls(Index segments, std::uint64_t key) const {
     RandomStream random(31, key);
     Controls c = task.trajectory->default_controls(segments);
     const auto variables = task.trajectory->controls();
     for (Index i = 0; i < c.cols(); ++i) {
-      const auto& v = variables[static_cast<std::size_t>(i)];
+      const auto& v = variables[i];
       const double margin = std::min(0.3 * v.scale, 0.25 * (v.upper - v.lower));
       for (Index j = 0; j < segments; ++j)
         c(j, i) = std::clamp(c(j, i) + v.scale * random.uniform(-0.5, 0.5), v.lower + margin, v.upper - margin);
@@ -56,7 +56,7 @@ struct Fold {
     c.segments = std::move(wanted);
     return c;
   }
-  /// From the start; from the start, further; and in mid-air, one segment on.
+  /// Two cases from the start, the second one longer, and one in mid-air after the first segment.
   std::vector<PredictionCase> cases() const {
     std::vector<PredictionCase> all = {ask(2, {1, 2}, 1), ask(3, {3}, 2), ask(2, {2}, 3)};
     const auto first = predict({ask(1, {1}, 4)}, {.moments = Moments::mean});
@@ -66,13 +66,13 @@ struct Fold {
     all[2].state = task.trajectory->segment_states(task.manipulation, start, controls(1, 4)).row(0).transpose();
     return all;
   }
-  /// Everything that can be differentiated.
+  /// A request for every declared gradient.
   PredictionRequest all_gradients() const {
     return {.gradients = true,
             .state_gradients = capabilities.state_gradients,
             .shape_gradients = capabilities.shape_gradients};
   }
-  /// predict(), which must return shapes of the sizes that were asked for; a failed case may have none.
+  /// predict(). Its shapes must have the requested sizes; a failed case may have none.
   std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                       const PredictionRequest& request = {}) const {
     auto prediction = predictor->predict(cases, request);
@@ -101,7 +101,7 @@ struct Fold {
 
 using Cotangents = std::vector<std::vector<ShapeCotangent>>;
 
-/// A smooth weight per vertex, axis and moment: dL/d(mean, sigma) of the losses below, of the order of 1 / V.
+/// A smooth weight per vertex, axis and moment, of the order of 1 / V: dL/d(mean, sigma) of the losses below.
 Cotangents smooth_cotangents(const Fold& fold, const std::vector<PredictionCase>& cases) {
   const RestPositions& rest = fold.task.garment->rest;
   const double size = (rest.colwise().maxCoeff() - rest.colwise().minCoeff()).maxCoeff();
@@ -124,7 +124,7 @@ Cotangents smooth_cotangents(const Fold& fold, const std::vector<PredictionCase>
   return all;
 }
 
-/// pullback(), which must return one gradient per case, with its controls in full.
+/// pullback(). It must return one gradient per case, with all controls.
 std::vector<CaseGradient> pull(const Prediction& prediction, const std::vector<PredictionCase>& cases,
                                const Cotangents& weights) {
   auto gradients = prediction.pullback(weights);
@@ -148,12 +148,12 @@ std::string failures(const Prediction& prediction, std::size_t count) {
 Vector losses(const Fold& fold, const std::vector<PredictionCase>& cases, const Cotangents& weights) {
   const auto prediction = fold.predict(cases);
   if (const auto text = failures(*prediction, cases.size()); !text.empty()) throw Error(text);
-  Vector sums = Vector::Zero(static_cast<Index>(cases.size()));
+  Vector sums = Vector::Zero(cases.size());
   for (std::size_t i = 0; i < cases.size(); ++i) {
     for (std::size_t s = 0; s < cases[i].segments.size(); ++s) {
       const auto& shape = prediction->shapes()[i][s];
       const auto& w = weights[i % weights.size()][s];
-      sums[static_cast<Index>(i)] += shape.mean.cwiseProduct(w.mean).sum() + shape.sigma.cwiseProduct(w.sigma).sum();
+      sums[i] += shape.mean.cwiseProduct(w.mean).sum() + shape.sigma.cwiseProduct(w.sigma).sum();
     }
   }
   return sums;
@@ -176,12 +176,12 @@ PredictionCase moved(PredictionCase c, const Direction& d, double step) {
   return c;
 }
 
-/// Fourth-order central difference over four copies of `cases`, moved by -2, -1, 1, 2 steps.
+/// Fourth-order central difference over four copies of `cases`, shifted by -2, -1, 1, 2 steps.
 constexpr double kSteps[] = {-2.0, -1.0, 1.0, 2.0};
 constexpr double kWeights[] = {1.0 / 12.0, -8.0 / 12.0, 8.0 / 12.0, -1.0 / 12.0};
 
 /// Relative error of pullback against central differences of predict, over three random directions.
-/// @param direction fills one in, in steps of a typical size.
+/// @param direction fills in one direction, in steps of a typical size.
 Outcome pullback_error(const Fold& fold, double step,
                        const std::function<Direction(const PredictionCase&, RandomStream&)>& direction) {
   const auto cases = fold.cases();
@@ -200,8 +200,7 @@ Outcome pullback_error(const Fold& fold, double step,
     const Vector values = losses(fold, all, weights);
     for (std::size_t i = 0; i < cases.size(); ++i) {
       double slope = 0.0;
-      for (std::size_t k = 0; k < 4; ++k)
-        slope += kWeights[k] * values[static_cast<Index>(k * cases.size() + i)] / step;
+      for (std::size_t k = 0; k < 4; ++k) slope += kWeights[k] * values[k * cases.size() + i] / step;
       const auto& d = directions[i];
       const auto& g = gradients[i];
       double predicted = d.centre.dot(g.centre) + d.width.dot(g.width);
@@ -241,8 +240,7 @@ Outcome pullback_of_controls(const Bench& bench) {
     Direction d;
     d.controls.resize(c.controls.rows(), c.controls.cols());
     for (Index j = 0; j < d.controls.rows(); ++j)
-      for (Index i = 0; i < d.controls.cols(); ++i)
-        d.controls(j, i) = random.uniform(-1.0, 1.0) * variables[static_cast<std::size_t>(i)].scale;
+      for (Index i = 0; i < d.controls.cols(); ++i) d.controls(j, i) = random.uniform(-1.0, 1.0) * variables[i].scale;
     return d;
   });
 }
@@ -267,14 +265,15 @@ Outcome pullback_of_width(const Bench& bench) {
   });
 }
 
-/// An undeclared part of the gradient is left out, though asked for; without any gradients pullback() throws Unsupported.
+/// An undeclared part of the gradient stays empty even if it is requested. Without gradients pullback() throws
+/// Unsupported.
 Outcome part_left_out(const Fold& fold, const std::string& what,
                       const std::function<bool(const CaseGradient&)>& empty) {
   if (!fold.capabilities.gradients) return refuses_gradients(fold);
   const auto cases = fold.cases();
   const PredictionRequest request{.gradients = true, .state_gradients = true, .shape_gradients = true};
   for (const auto& g : pull(*fold.predict(cases, request), cases, smooth_cotangents(fold, cases)))
-    if (!empty(g)) return failed("not declared, yet d " + what + " is not empty");
+    if (!empty(g)) return failed("not declared, but d " + what + " is not empty");
   return {0.0, "not declared; left out of the gradient"};
 }
 
@@ -286,10 +285,9 @@ Outcome pullback_of_state(const Bench& bench) {
   return pullback_error(fold, 0.005, [&](const PredictionCase& c, RandomStream& random) {
     Direction d;
     d.state = Vector::Zero(c.state.size());
-    // The start is a corner of many trajectories; one segment on is none.
+    // Many trajectories have a kink at the start, but none after one segment.
     if (c.previous)
-      for (Index i = 0; i < c.state.size(); ++i)
-        d.state[i] = random.uniform(-1.0, 1.0) * variables[static_cast<std::size_t>(i)].scale;
+      for (Index i = 0; i < c.state.size(); ++i) d.state[i] = random.uniform(-1.0, 1.0) * variables[i].scale;
     return d;
   });
 }
@@ -321,8 +319,7 @@ Outcome jvp_matches(const Bench& bench) {
       CaseDirection d;
       d.controls.resize(cases[i].controls.rows(), cases[i].controls.cols());
       for (Index j = 0; j < d.controls.rows(); ++j)
-        for (Index k = 0; k < d.controls.cols(); ++k)
-          d.controls(j, k) = random.uniform(-1.0, 1.0) * variables[static_cast<std::size_t>(k)].scale;
+        for (Index k = 0; k < d.controls.cols(); ++k) d.controls(j, k) = random.uniform(-1.0, 1.0) * variables[k].scale;
       for (int p = 0; p < 4; ++p) {
         d.centre[p] = random.uniform(-0.5, 0.5);
         d.width[p] = random.uniform(-0.5, 0.5);
@@ -377,24 +374,25 @@ Outcome pullback_is_for_those_who_asked(const Bench& bench) {
   refusals.wants<Unsupported>("pullback() of a prediction without gradients",
                               [&] { fold.predict(cases)->pullback(weights); });
   if (!fold.capabilities.gradients) return refusals.outcome();
-  // Of controls and knowledge, the one not asked for comes back as zeros; state and shape only when asked for. What was
-  // asked for does not depend on that.
+  // Gradients of controls and knowledge are zero if not requested; those of state and shape are empty. The requested
+  // ones do not depend on the others.
   const auto all = pull(*fold.predict(cases, fold.all_gradients()), cases, weights);
   const auto both = pull(*fold.predict(cases, {.gradients = true}), cases, weights);
   const auto knowledge = pull(*fold.predict(cases, {.gradients = true, .control_gradients = false}), cases, weights);
   const auto controls = pull(*fold.predict(cases, {.gradients = true, .knowledge_gradients = false}), cases, weights);
   const auto near = [](const auto& a, const auto& b) { return (a - b).norm() <= 1e-9 * (a.norm() + b.norm()); };
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    if (!knowledge[i].controls.isZero(0.0)) refusals.miss("d controls, not asked for,");
-    if (!controls[i].centre.isZero(0.0) || !controls[i].width.isZero(0.0)) refusals.miss("d knowledge, not asked for,");
-    if (both[i].state.size() > 0) refusals.miss("d state, not asked for,");
-    if (both[i].shape.rows() > 0) refusals.miss("d shape, not asked for,");
+    if (!knowledge[i].controls.isZero(0.0)) refusals.miss("d controls is not zero without a request");
+    if (!controls[i].centre.isZero(0.0) || !controls[i].width.isZero(0.0))
+      refusals.miss("d knowledge is not zero without a request");
+    if (both[i].state.size() > 0) refusals.miss("d state is not empty without a request");
+    if (both[i].shape.rows() > 0) refusals.miss("d shape is not empty without a request");
     if (!near(all[i].controls, both[i].controls) || !near(all[i].centre, both[i].centre) ||
         !near(all[i].width, both[i].width))
-      refusals.miss("another gradient when state and shape were asked for too");
+      refusals.miss("the gradient changes if state and shape are requested too");
     if (!near(controls[i].controls, both[i].controls) || !near(knowledge[i].centre, both[i].centre) ||
         !near(knowledge[i].width, both[i].width))
-      refusals.miss("another gradient when only one of the two was asked for");
+      refusals.miss("the gradient changes if only one of controls and knowledge is requested");
   }
   return refusals.outcome();
 }
@@ -423,7 +421,7 @@ Outcome zero_cotangents_may_be_empty(const Bench& bench) {
   };
   const auto prediction = fold.predict(cases, {.gradients = true});
   const double of_holes = difference(pull(*prediction, cases, weights), pull(*prediction, cases, holes));
-  // Planning predicts means alone.
+  // Planning requests means only.
   for (std::size_t i = 0; i < cases.size(); ++i) {
     for (std::size_t s = 0; s < weights[i].size(); ++s) {
       weights[i][s].sigma.setZero();
@@ -435,7 +433,7 @@ Outcome zero_cotangents_may_be_empty(const Bench& bench) {
   return {of_holes + of_means, ""};
 }
 
-/// Numbers in which two predictions differ; `i`, `j`: the cases compared.
+/// The number of entries that differ between case i of one prediction and case j of another.
 double differing_case(const Prediction& a, std::size_t i, const Prediction& b, std::size_t j) {
   const auto &x = a.shapes().at(i), &y = b.shapes().at(j);
   double wrong = x.size() == y.size() && a.failure(i) == b.failure(j) ? 0.0 : 1.0;
@@ -448,12 +446,12 @@ double differing_gradient(const CaseGradient& a, const CaseGradient& b) {
          differing(a.state, b.state) + differing(a.shape, b.shape);
 }
 
-/// A batch of cases, to compare each of them with what it gives in another batch.
+/// The predictions of a batch, to compare each case with its prediction in another batch.
 struct BatchOfCases {
   explicit BatchOfCases(const Fold& of) : fold(of) {
     if (request.gradients) gradients = pull(*prediction, cases, weights);
   }
-  /// Numbers of case i, shapes and gradients, that differ when it stands in `row` of `others`.
+  /// The number of entries of case i, in shapes and gradients, that differ if it is `row` of `others`.
   double differing(std::size_t i, const std::vector<PredictionCase>& others, std::size_t row) const {
     const auto other = fold.predict(others, request);
     double wrong = differing_case(*prediction, i, *other, row);
@@ -489,7 +487,7 @@ Outcome a_case_does_not_see_the_other_rows(const Bench& bench) {
   const auto& cases = batch.cases;
   double wrong = 0.0;
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    // In the other rows: another length, and the padding of a search.
+    // The other rows hold a case of another length and the padding of a search.
     std::vector<PredictionCase> changed(cases.size(), cases[i]);
     for (std::size_t j = 0; j < cases.size(); ++j)
       if (j != i) changed[j].segments.clear();
@@ -519,17 +517,17 @@ Outcome predictions_live_side_by_side(const Bench& bench) {
   std::vector<std::vector<ShapeDistribution>> copy = first->shapes();
   std::vector<CaseGradient> before;
   if (gradients) before = pull(*first, cases, weights);
-  // Others come and go; their inputs go as well.
+  // Make and destroy other predictions, and the inputs of them.
   for (int k = 0; k < 2; ++k) {
     std::vector<PredictionCase> others = {fold.ask(1, {1}, 50 + static_cast<std::uint64_t>(k)), fold.ask(2, {2}, 60)};
     const auto other = fold.predict(others, request);
     if (gradients) pull(*other, others, smooth_cotangents(fold, others));
   }
   const auto& now = first->shapes();
-  if (now.size() != copy.size()) return failed("the prediction has another number of cases now");
+  if (now.size() != copy.size()) return failed("the number of cases in the prediction changed");
   double wrong = 0.0;
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    if (now[i].size() != copy[i].size()) return failed("the prediction has another number of shapes now");
+    if (now[i].size() != copy[i].size()) return failed("the number of shapes in the prediction changed");
     for (std::size_t s = 0; s < copy[i].size(); ++s)
       wrong += differing(copy[i][s].mean, now[i][s].mean) + differing(copy[i][s].sigma, now[i][s].sigma);
   }
@@ -565,11 +563,10 @@ Outcome shapes_are_those_asked_for(const Bench& bench) {
              means = fold.predict(cases, {.moments = Moments::mean});  // which check the sizes
   for (const Prediction* p : {all.get(), means.get()})
     if (const auto text = failures(*p, cases.size()); !text.empty()) return failed(text);
-  // Segment 2 is segment 2, whether or not its neighbours are wanted; only float rounding may differ between requests.
+  // Segment 2 has the same shape whether or not its neighbours are requested, up to float rounding.
   if (fold.capabilities.deterministic) {
     const double gap = (all->shapes()[0][1].mean - all->shapes()[1][0].mean).cwiseAbs().maxCoeff();
-    if (!(gap < 1e-5))
-      wrong.miss("segment 2 that is another one when asked for alone (by " + std::to_string(gap) + " m)");
+    if (!(gap < 1e-5)) wrong.miss("segment 2 moves by " + std::to_string(gap) + " m if it is requested alone");
   }
   return wrong.outcome();
 }
@@ -617,7 +614,7 @@ Outcome a_failed_case_costs_only_itself(const Bench& bench) {
   const Fold fold(bench);
   std::vector<PredictionCase> cases = {fold.ask(1, {1}, 1), fold.ask(1, {1}, 1), fold.ask(1, {1}, 2)};
   const auto sound = fold.predict(cases);
-  // Finite, but far beyond what squares survive.
+  // Finite, but their squares overflow.
   cases[1].shape = std::make_shared<const Positions>(1e200 * (*fold.shape));
   const auto prediction = fold.predict(cases);
   double wrong = 0.0;
@@ -654,11 +651,11 @@ Outcome limits_are_sound(const Bench& bench) {
   if (!range && !most) return undeclared_without_call();
   Refusals wrong;
   if (range) {
-    const auto count = static_cast<Index>(fold.task.trajectory->controls().size());
+    const Index count = fold.task.trajectory->controls().size();
     const auto &low = range->lower, &high = range->upper;
     if (low.size() != count || high.size() != count || !low.allFinite() || !high.allFinite() ||
         (low.array() > high.array()).any())
-      wrong.miss("a control_range() that is no box of the " + std::to_string(count) + " controls");
+      wrong.miss("control_range() is not a finite box of " + std::to_string(count) + " controls");
   }
   if (most) {
     if (*most < 1) return failed("max_segments() is " + std::to_string(*most));
@@ -735,7 +732,7 @@ Task predictor_task(const Bench& bench) {
   m.contact_height = 0.002;
   m.grasp_points.resize(2, 3);
   for (Index i = 0; i < 2; ++i) {
-    m.grasp_points.row(i) = task.garment->positions.row(m.grasp_vertices[static_cast<std::size_t>(i)]);
+    m.grasp_points.row(i) = task.garment->positions.row(m.grasp_vertices[i]);
     m.grasp_points(i, 2) = m.contact_height;
   }
   return task;
@@ -746,40 +743,39 @@ const std::vector<Law>& predictor_laws() {
       {"pullback_of_controls", "gradients: d loss / d controls agrees with central differences of predict (relative).",
        0.02, pullback_of_controls},
       {"pullback_of_centre", "gradients: the same for the centre of the material knowledge.", 0.02, pullback_of_centre},
-      {"pullback_of_width", "gradients: the same for its width.", 0.02, pullback_of_width},
-      {"pullback_of_state", "state_gradients: the same for the control state, when asked for; undeclared: left out.",
-       0.02, pullback_of_state},
-      {"pullback_of_shape", "shape_gradients: the same for the start shape, when asked for; undeclared: left out.",
-       0.02, pullback_of_shape},
+      {"pullback_of_width", "gradients: the same for the width of the material knowledge.", 0.02, pullback_of_width},
+      {"pullback_of_state", "state_gradients: the same for the control state, if requested; undeclared: empty.", 0.02,
+       pullback_of_state},
+      {"pullback_of_shape", "shape_gradients: the same for the start shape, if requested; undeclared: empty.", 0.02,
+       pullback_of_shape},
       {"jvp_matches", "jvp: directional derivatives agree with central differences of predict (relative).", 0.02,
        jvp_matches},
       {"pullback_is_for_those_who_asked",
-       "pullback() throws Unsupported unless asked for; only what was asked for is differentiated (violations).", 0,
+       "pullback() throws Unsupported without a request, and differentiates requested inputs only (violations).", 0,
        pullback_is_for_those_who_asked},
       {"zero_cotangents_may_be_empty",
-       "gradients: a cotangent without rows stands for zeros, also where only means were predicted (relative).", 1e-9,
+       "gradients: a cotangent without rows counts as zeros, also if only means were predicted (relative).", 1e-9,
        zero_cotangents_may_be_empty},
       {"batch_equals_singles",
        "deterministic: shapes and gradients of a case do not depend on its batch (numbers that differ).", 0,
        batch_equals_singles},
       {"a_case_does_not_see_the_other_rows",
-       "Shapes and gradients of a case depend on its row and the number of rows at most, not on what the others hold "
-       "(numbers that differ).",
-       0, a_case_does_not_see_the_other_rows},
+       "Shapes and gradients of a case do not depend on the contents of the other rows (numbers that differ).", 0,
+       a_case_does_not_see_the_other_rows},
       {"same_input_same_bits", "deterministic: same input, same bits, also from a second object (numbers that differ).",
        0, same_input_same_bits},
       {"predictions_live_side_by_side", "A prediction does not change while others are made (numbers that differ).", 0,
        predictions_live_side_by_side},
-      {"same_bits_on_two_threads", "predict() from two threads at once gives what one gives (numbers that differ).", 0,
+      {"same_bits_on_two_threads", "predict() on two threads gives the bits of one (numbers that differ).", 0,
        same_bits_on_two_threads},
       {"shapes_are_those_asked_for",
-       "Only the asked segments and moments come back, in order and in size (violations).", 0,
+       "The result holds the requested segments and moments only, in order and in size (violations).", 0,
        shapes_are_those_asked_for},
       {"numbers_are_sound",
        "Means, sigmas and gradients are finite and sigma > 0, also at the corners of the knowledge (numbers).", 0,
        numbers_are_sound},
       {"a_failed_case_costs_only_itself",
-       "A case beyond all numbers is recorded as failed and changes no other (numbers).", 0,
+       "A case whose numbers overflow is recorded as failed and changes no other (numbers).", 0,
        a_failed_case_costs_only_itself},
       {"binding_comes_first", "needs_binding: predict() before bind() is refused (accepted).", 0, binding_comes_first},
       {"limits_are_sound",

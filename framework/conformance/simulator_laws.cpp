@@ -1,5 +1,5 @@
-// The laws of a simulator. Sheets are coarse and runs short: a law asks whether a simulator is right, not how good it
-// is.
+// The laws of a simulator. Sheets are coarse and runs short: the laws check whether a simulator is right, not how
+// accurate it is.
 #include <algorithm>
 #include <functional>
 #include <numbers>
@@ -37,13 +37,12 @@ const Positions kNothing(0, 3);
 
 Positions held(const Simulator& simulator) {
   const auto vertices = simulator.grasped();
-  Positions points(static_cast<Index>(vertices.size()), 3);
-  for (std::size_t i = 0; i < vertices.size(); ++i)
-    points.row(static_cast<Index>(i)) = simulator.positions().row(vertices[i]);
+  Positions points(vertices.size(), 3);
+  for (std::size_t i = 0; i < vertices.size(); ++i) points.row(i) = simulator.positions().row(vertices[i]);
   return points;
 }
 
-/// Where two hands are `frame` frames after they took the edge at `start`: half a circle over the sheet along
+/// Targets of two hands, `frame` frames after they grasped the edge at `start`: half a circle over the sheet along
 /// `heading`.
 constexpr Index kCarryFrames = 48;
 Positions carry(const Positions& start, Index frame, const Vec3& heading = {1.0, 0.0, 0.0}) {
@@ -69,7 +68,7 @@ struct Carry {
   Positions start;
 };
 
-/// Numbers in which the states of two simulators differ.
+/// The number of entries that differ between the states of two simulators.
 double differing_state(const Simulator& a, const Simulator& b) {
   return differing(a.positions(), b.positions()) + differing(a.velocities(), b.velocities()) +
          (a.grasped() == b.grasped() ? 0.0 : 1.0) + (a.frame() == b.frame() ? 0.0 : 1.0);
@@ -162,7 +161,7 @@ Outcome pinned_stays_pinned(const Bench& bench) {
     sim->step(kNothing);
     for (Index pin : scene.pins) worst = std::max(worst, (sim->positions().row(pin) - start.row(pin)).norm());
   }
-  if ((sim->positions() - start).rowwise().norm().maxCoeff() < 0.01) return failed("nothing moved, pinned or not");
+  if ((sim->positions() - start).rowwise().norm().maxCoeff() < 0.01) return failed("no vertex moved");
   return {worst, ""};
 }
 
@@ -189,14 +188,14 @@ Outcome held_vertex_follows_its_target(const Bench& bench) {
     run.sim->step(targets);
     worst = std::max(worst, (held(*run.sim) - targets).cwiseAbs().maxCoeff());
   }
-  // The order of the targets is that of grasped(), also after one of three hands let go.
+  // Targets are in the order of grasped(), also after one of three vertices is released.
   const Index middle = kSide * (kSide / 2);
   run.sim->grasp(std::span(&middle, 1));
   if (run.sim->grasped() != std::vector<Index>{kCorners[0], kCorners[1], middle})
     return failed("grasped() is not in the order of the calls to grasp()");
   run.sim->release(std::span(kCorners, 1));
   if (run.sim->grasped() != std::vector<Index>{kCorners[1], middle})
-    return failed("grasped() is not what is left after release(vertices)");
+    return failed("grasped() is wrong after release(vertices)");
   Positions targets = held(*run.sim);
   for (Index k = 0; k < 5; ++k) {
     targets.col(2).array() += 0.002;
@@ -207,7 +206,7 @@ Outcome held_vertex_follows_its_target(const Bench& bench) {
 }
 
 Outcome release_leaves_no_kick(const Bench& bench) {
-  // Swung upwards at 1.2 m/s, then let go: the released vertices start at rest.
+  // The vertices swing upwards at 1.2 m/s. After release they start at rest.
   const auto sim = bench.make<Simulator>();
   sim->reset(sheet(0.5), plain_fabric(), Scene());
   sim->grasp(kCorners);
@@ -270,7 +269,7 @@ Outcome settle_can_be_split(const Bench& bench) {
     Carry run(bench.make<Simulator>());
     run.run(0, 12);
     run.sim->release();
-    // What has come to a full stop ends the one call early, and so ends the others.
+    // A sheet that stops completely ends the one call early, and the others too.
     bool stopped = false;
     for (Index done = 0; done < 5 && !stopped; done += at_once) stopped = run.sim->settle({1e-12, 1, at_once}).settled;
     return run.sim;
@@ -292,7 +291,7 @@ Outcome set_state_is_taken(const Bench& bench) {
   sim->set_state(x, v, hands);
   double wrong = differing(sim->positions(), x) + differing(sim->velocities(), v);
   if (sim->grasped() != hands) ++wrong;
-  // Two runs from the same observed state agree, whatever came before.
+  // Two runs from the same observed state agree, also after different histories.
   Carry used(bench.make<Simulator>());
   used.run(0, 20);
   used.sim->set_state(x, v, hands);
@@ -395,7 +394,8 @@ Outcome layers_keep_their_distance(const Bench& bench) {
   return {1.0 - least / damped_fabric().thickness_m, "least distance " + number(1e3 * least) + " mm"};
 }
 
-/// Mean slide down an incline whose slope is `slope` times the friction coefficient, after half a second, m.
+/// Mean distance, m, that a sheet slides down an incline in half a second. tan(incline) = `slope` times the friction
+/// coefficient.
 double slide(Simulator& sim, double slope) {
   const Fabric fabric = plain_fabric();
   const double alpha = std::atan(slope * fabric.friction);
@@ -426,7 +426,7 @@ Outcome slides_above_the_friction_threshold(const Bench& bench) {
   return {std::abs(got / wanted - 1.0), "slid " + number(got) + " m, Coulomb says " + number(wanted) + " m"};
 }
 
-/// Mean elongation of a strip that hangs by one edge along x (warp) or y (weft) in free space, over two seconds, m.
+/// Mean elongation, m, over two seconds, of a strip that hangs by one edge along x (warp) or y (weft) in free space.
 double elongation(Simulator& sim, const Fabric& fabric, bool along_weft) {
   Scene scene = free_space();
   scene.gravity = along_weft ? Vec3(0.0, kGravity, 0.0) : Vec3(kGravity, 0.0, 0.0);
@@ -448,7 +448,7 @@ double elongation(Simulator& sim, const Fabric& fabric, bool along_weft) {
   return sum / static_cast<double>(frames * kSide);
 }
 
-/// Not orthotropic: whatever differs between warp and weft is refused, and the message names its key.
+/// Not orthotropic: a fabric whose warp and weft differ is refused, and the message names the key.
 Outcome refuses_two_stiffnesses(Simulator& sim, const Fabric& stretch) {
   Fabric bend = plain_fabric(), tables = plain_fabric();
   bend.bend_warp_n_m = 2.0 * bend.bend_weft_n_m;
@@ -460,7 +460,7 @@ Outcome refuses_two_stiffnesses(Simulator& sim, const Fabric& stretch) {
       refusals.miss(std::string("a fabric whose ") + key + " differs between warp and weft was accepted");
     } catch (const ConfigError& error) {
       if (std::string(error.what()).find(key) == std::string::npos)
-        refusals.miss(std::string("the refusal names no ") + key + ": " + error.what());
+        refusals.miss(std::string("the refusal does not name ") + key + ": " + error.what());
     } catch (const std::exception& error) {
       refusals.miss(std::string(key) + " threw no ConfigError: " + error.what());
     }
@@ -493,7 +493,7 @@ Outcome restored_run_is_bit_exact(const Bench& bench, bool other_object) {
     refusals.wants<Unsupported>("restore()", [&] { run.sim->restore(Foreign()); });
     return refusals.outcome().measured > 0 ? refusals.outcome() : undeclared();
   }
-  // Saved in mid-grasp; restored after another course of events.
+  // Saved while vertices are held; restored after the run went another way.
   run.run(0, 15);
   const auto snapshot = run.sim->save();
   const Positions x = run.sim->positions();
@@ -512,7 +512,7 @@ Outcome restored_run_is_bit_exact(const Bench& bench, bool other_object) {
   again.run(15, 30);
   wrong += differing(again.sim->positions(), wanted_x) + differing(again.sim->velocities(), wanted_v);
   if (again.sim->frame() != wanted_frame) ++wrong;
-  // The snapshot can be used twice, and the later one leads where the run itself leads.
+  // The first snapshot can be used twice. The later one continues as the run itself does.
   again.sim->restore(*snapshot);
   wrong += differing(again.sim->positions(), x);
   again.sim->restore(*reference);
@@ -532,7 +532,7 @@ Outcome restores_in_another_object(const Bench& bench) { return restored_run_is_
 
 Outcome foreign_snapshots_are_refused(const Bench& bench) {
   const auto sim = bench.make<Simulator>();
-  if (!sim->capabilities().snapshots) return undeclared();  // restored_run_is_bit_exact asks for Unsupported
+  if (!sim->capabilities().snapshots) return undeclared();  // restored_run_is_bit_exact checks for Unsupported
   struct Foreign final : SimulatorSnapshot {};
   Refusals refusals;
   sim->reset(towel(4, 0.2), plain_fabric(), Scene());
@@ -545,7 +545,7 @@ Outcome foreign_snapshots_are_refused(const Bench& bench) {
 
 Outcome same_calls_same_bits(const Bench& bench) {
   Carry a(bench.make<Simulator>()), b(bench.make<Simulator>());
-  // Turn by turn: objects do not affect one another.
+  // The two objects take turns, to show that they do not affect one another.
   for (Index k = 0; k < 24; ++k) {
     a.run(k, k + 1);
     b.run(k, k + 1);
@@ -608,7 +608,7 @@ Outcome refuses_nan(const Bench& bench) {
   v(5, 0) = kNaN;
   refusals.wants<Error>("set_state() with a NaN velocity", [&] { run.sim->set_state(x, v, {}); });
   if (!run.sim->positions().allFinite() || !run.sim->velocities().allFinite())
-    refusals.miss("a refused call left NaN behind: it");
+    refusals.miss("a refused call left NaN in the state");
   return refusals.outcome();
 }
 
@@ -627,7 +627,7 @@ Outcome refuses_bad_shapes(const Bench& bench) {
   refusals.wants<ShapeError>("set_state() with too few velocities",
                              [&] { run.sim->set_state(run.sim->positions(), Positions::Zero(n - 1, 3), {}); });
   if (run.sim->grasped() != std::vector<Index>(std::begin(kCorners), std::end(kCorners)))
-    refusals.miss("a refused call changed what is held: it");
+    refusals.miss("a refused call changed the held vertices");
   if (run.sim->capabilities().pins) {
     Scene scene;
     scene.pins = {3};
@@ -638,7 +638,7 @@ Outcome refuses_bad_shapes(const Bench& bench) {
 }
 
 Outcome non_finite_state_never_leaves(const Bench& bench) {
-  // Targets far beyond what squares survive: the run may end in Diverged, but never in numbers that are none.
+  // The squares of these targets overflow. The run may end in Diverged, but never in non-finite numbers.
   Carry run(bench.make<Simulator>());
   double wrong = 0.0;
   std::string detail;
@@ -661,7 +661,7 @@ Outcome non_finite_state_never_leaves(const Bench& bench) {
       detail = "non-finite numbers after a target at " + number(far) + " m";
       break;
     }
-    run = Carry(run.sim);  // and a reset is enough to go on
+    run = Carry(run.sim);  // a reset must be enough to continue
     run.run(0, 2);
   }
   return {wrong, detail};
@@ -673,13 +673,12 @@ const std::vector<Law>& simulator_laws() {
   static const std::vector<Law> laws = {
       {"falls_freely", "In free space a sheet follows x0 + v0 t + g t^2 / 2 (error over the distance fallen, 0.5 s).",
        0.02, falls_freely},
-      {"gravity_any_direction", "The same under a gravity that points nowhere in particular.", 0.02,
-       gravity_any_direction},
+      {"gravity_any_direction", "The same with gravity in an oblique direction.", 0.02, gravity_any_direction},
       {"rest_stays_at_rest", "A flat sheet on the ground stays where it is (m, 1 s).", 1e-4, rest_stays_at_rest},
       {"reset_lifts_to_contact_height",
-       "reset() lifts what lies lower to ground + thickness and moves nothing sideways (m).", 1e-9,
+       "reset() lifts lower vertices to ground + thickness and moves none sideways (m).", 1e-9,
        reset_lifts_to_contact_height},
-      {"reset_forgets", "A used simulator runs after reset() as a new one does (numbers that differ).", 0,
+      {"reset_forgets", "After reset() a used simulator gives the bits of a new one (numbers that differ).", 0,
        reset_forgets},
       {"pinned_stays_pinned", "Pinned vertices do not move while the rest falls (m).", 0, pinned_stays_pinned},
       {"grasp_moves_nothing", "Grasping, holding still and releasing a sheet at rest moves nothing (m).", 1e-4,
@@ -687,51 +686,51 @@ const std::vector<Law>& simulator_laws() {
       {"held_vertex_follows_its_target",
        "A held vertex is on its target after every frame, in the order of grasped() (m).", 1e-12,
        held_vertex_follows_its_target},
-      {"release_leaves_no_kick", "A vertex released in mid-swing starts at rest where it is (m/s).", 1e-9,
+      {"release_leaves_no_kick", "A vertex that is released while it moves starts at rest (m/s).", 1e-9,
        release_leaves_no_kick},
       {"frames_are_counted", "frame() counts the frames of step() and settle() since reset() (wrong counts).", 0,
        frames_are_counted},
       {"settles",
-       "A sheet dropped from 2 cm settles flat within 10 s, and settle() tells the truth about it (m off the ground).",
+       "A sheet dropped from 2 cm settles flat within 10 s, and settle() reports it correctly (m off the ground).",
        2e-3, settles},
-      {"settle_keeps_held_vertices", "settle() keeps what is held still, and held (m).", 1e-12,
+      {"settle_keeps_held_vertices", "settle() keeps held vertices still and held (m).", 1e-12,
        settle_keeps_held_vertices},
       {"settle_can_be_split",
-       "Five calls of settle() for a frame each lead where one call for five does (numbers that differ).", 0,
+       "Five calls of settle() for one frame each give the bits of one call for five (numbers that differ).", 0,
        settle_can_be_split},
-      {"set_state_is_taken", "set_state() takes the given state and hands, and drops history (numbers that differ).", 0,
+      {"set_state_is_taken", "set_state() sets state and held vertices and drops history (numbers that differ).", 0,
        set_state_is_taken},
       {"nothing_sinks", "No vertex sinks below ground + thickness in a drop or a fold (in thicknesses).", 0.05,
        nothing_sinks},
       {"layers_do_not_cross", "self_contact: a folded sheet never intersects itself (edge-face crossings).", 0,
        layers_do_not_cross},
       {"layers_keep_their_distance",
-       "self_contact: vertices of a folded sheet keep off the other layer (lack, in thicknesses).", 0.5,
+       "self_contact: vertices of a folded sheet keep their distance to the other layer (lack, in thicknesses).", 0.5,
        layers_keep_their_distance},
       {"sticks_below_the_friction_threshold",
        "ground_friction: on an incline of tan = 0.9 mu the sheet stays (m, 0.5 s).", 1e-3,
        sticks_below_the_friction_threshold},
       {"slides_above_the_friction_threshold",
-       "ground_friction: at tan = 1.3 mu it slides as Coulomb says (relative, 0.5 s).", 0.1,
+       "ground_friction: at tan = 1.3 mu it slides by Coulomb's law (relative, 0.5 s).", 0.1,
        slides_above_the_friction_threshold},
       {"stretches_by_direction",
-       "orthotropic: hanging sheets stretch as warp and weft stiffness say (log ratio); undeclared: what differs is "
+       "orthotropic: hanging sheets stretch by their warp and weft stiffness (log ratio); undeclared: a difference is "
        "refused with ConfigError.",
        0.2, stretches_by_direction},
       {"restored_run_is_bit_exact",
-       "snapshots: a run restored in mid-grasp continues bit for bit (numbers that differ).", 0, restores_in_place},
+       "snapshots: a run restored during a grasp continues bit for bit (numbers that differ).", 0, restores_in_place},
       {"restores_in_another_object", "snapshots: also in a second object with the same garment, fabric and scene.", 0,
        restores_in_another_object},
       {"foreign_snapshots_are_refused", "snapshots: those of another plugin or garment are refused (accepted).", 0,
        foreign_snapshots_are_refused},
-      {"same_calls_same_bits", "Two objects that get the same calls in turn agree (numbers that differ).", 0,
+      {"same_calls_same_bits", "Two objects agree after the same calls in turns (numbers that differ).", 0,
        same_calls_same_bits},
-      {"same_bits_on_two_threads", "So do two objects on two threads at once.", 0, same_bits_on_two_threads},
+      {"same_bits_on_two_threads", "The same for two objects on two threads in parallel.", 0, same_bits_on_two_threads},
       {"translation_changes_nothing", "A fold half a metre away is the same fold (m).", 1e-5,
        translation_changes_nothing},
       {"turn_about_z_changes_nothing", "A fold turned about z is the same fold (m).", 1e-4,
        turn_about_z_changes_nothing},
-      {"refuses_nan", "Targets and states that are not finite are refused and leave nothing behind (accepted).", 0,
+      {"refuses_nan", "Targets and states that are not finite are refused and change nothing (accepted).", 0,
        refuses_nan},
       {"refuses_bad_shapes", "Wrong shapes and vertices are refused with ShapeError (accepted).", 0,
        refuses_bad_shapes},

@@ -10,7 +10,7 @@ namespace {
 
 constexpr Index kHorizon = 25;  // the planner's first b (section 4)
 
-/// Grasp points that lie skew to d and at contact height, for any number of hands.
+/// Grasp points at contact height, on a line that is oblique to d, for any number of hands.
 Manipulation skew(const Trajectory& trajectory, int which) {
   Manipulation m;
   const Index hands = trajectory.hands();
@@ -32,23 +32,23 @@ void for_manipulations(const Trajectory& trajectory, Each&& each) {
 }
 
 Vector scales(const std::vector<Variable>& variables) {
-  Vector s(static_cast<Index>(variables.size()));
-  for (Index i = 0; i < s.size(); ++i) s[i] = variables[static_cast<std::size_t>(i)].scale;
+  Vector s(variables.size());
+  for (Index i = 0; i < s.size(); ++i) s[i] = variables[i].scale;
   return s;
 }
 
-/// Controls inside their bounds: the default plus up to one scale either way.
+/// Controls inside their bounds: the default plus or minus up to one scale.
 Vector random_control(const Trajectory& trajectory, RandomStream& random) {
   const auto variables = trajectory.controls();
-  Vector c(static_cast<Index>(variables.size()));
+  Vector c(variables.size());
   for (Index i = 0; i < c.size(); ++i) {
-    const auto& v = variables[static_cast<std::size_t>(i)];
+    const auto& v = variables[i];
     c[i] = std::clamp(v.default_value + v.scale * random.uniform(-1.0, 1.0), v.lower, v.upper);
   }
   return c;
 }
 
-/// A state that some segments of random controls lead to; the path is still under way.
+/// The state after some segments of random controls, before release.
 Vector random_state(const Trajectory& trajectory, const Manipulation& m, RandomStream& random) {
   Vector state = trajectory.initial_state(m);
   const std::uint64_t frames = 3 + random.below(40);
@@ -94,17 +94,16 @@ Outcome variables_are_well_formed(const Bench& bench) {
     std::set<std::string> names;
     for (const auto& v : variables) {
       const std::string name = std::string(what) + " '" + v.name + "'";
-      if (v.name.empty() || !names.insert(v.name).second) wrong.miss(name + " has no name of its own");
+      if (v.name.empty() || !names.insert(v.name).second) wrong.miss(name + " has an empty or repeated name");
       if (!std::isfinite(v.lower) || !std::isfinite(v.upper) || v.lower > v.upper)
-        wrong.miss(name + " has no finite bounds");
+        wrong.miss(name + " has bounds that are not finite or not ascending");
       if (!(v.default_value >= v.lower && v.default_value <= v.upper))
-        wrong.miss(name + " has its default out of bounds");
+        wrong.miss(name + " has a default outside its bounds");
       if (!(v.scale > 0.0) || !std::isfinite(v.scale)) wrong.miss(name + " has no scale > 0");
     }
   }
   for_manipulations(*t, [&](const Manipulation& m) {
-    if (t->initial_state(m).size() != static_cast<Index>(t->state().size()))
-      wrong.miss("initial_state() has another size");
+    if (t->initial_state(m).size() != std::ssize(t->state())) wrong.miss("initial_state() has another size");
   });
   return wrong.outcome();
 }
@@ -128,7 +127,8 @@ Outcome advance_pullback_is_exact(const Bench& bench) {
     for (int trial = 0; trial < 10; ++trial) {
       const Vector state = random_state(*t, m, random), control = random_control(*t, random);
       const Vector w = normals(state.size(), random).cwiseQuotient(scales(t->state()));
-      Vector d_state = Vector::Constant(2, 99.0), d_control = Vector::Constant(7, 99.0);  // overwritten, not added to
+      // Wrong sizes and values: both must be overwritten, not added to.
+      Vector d_state = Vector::Constant(2, 99.0), d_control = Vector::Constant(7, 99.0);
       t->advance_pullback(m, state, control, w, d_state, d_control);
       worst.add(gradient_error([&](const Vector& x) { return t->advance(m, x, control).dot(w); }, state, d_state,
                                scales(t->state())));
@@ -247,7 +247,7 @@ Outcome decode_pullback_is_exact(const Bench& bench) {
   const Vector state = t->initial_state(m);
   for (Index horizon : {1, 3}) {
     const Vector x = t->encode(t->default_controls(horizon), state);
-    Controls w(horizon, static_cast<Index>(t->controls().size()));
+    Controls w(horizon, t->controls().size());
     for (Index i = 0; i < w.size(); ++i) w.data()[i] = random.normal();
     w.array().rowwise() /= scales(t->controls()).transpose().array();
     const auto value = [&](const Vector& at) { return t->decode(at, horizon, state).cwiseProduct(w).sum(); };
@@ -268,24 +268,24 @@ Outcome decision_box_is_sound(const Bench& bench) {
     const Vector scale = t->decision_scale(horizon);
     const std::string at = " for horizon " + std::to_string(horizon);
     if (box.lower.size() != size || box.upper.size() != size || scale.size() != size) {
-      wrong.miss("a size that is not decision_size()" + at);
+      wrong.miss("the size of bounds or scale is not decision_size()" + at);
       continue;
     }
     if (!box.lower.allFinite() || !box.upper.allFinite() || (box.lower.array() > box.upper.array()).any())
-      wrong.miss("a box that is not finite" + at);
-    if (!scale.allFinite() || (scale.array() <= 0.0).any()) wrong.miss("a scale that is not > 0" + at);
+      wrong.miss("the box is not finite or not ascending" + at);
+    if (!scale.allFinite() || (scale.array() <= 0.0).any()) wrong.miss("a scale is not > 0" + at);
     const Vector start = t->encode(t->default_controls(horizon), state);
     require_shape("size of encode()", start.size(), size);
     if (!((box.lower - start).array() <= 1e-9 * scale.array()).all() ||
         !((start - box.upper).array() <= 1e-9 * scale.array()).all())
-      wrong.miss("a box without the default trajectory" + at);
+      wrong.miss("the box does not contain the default trajectory" + at);
     const Controls c = t->decode(random_decision(*t, horizon, random), horizon, state);
-    require_shape("columns of decode()", c.cols(), static_cast<Index>(variables.size()));
+    require_shape("columns of decode()", c.cols(), variables.size());
     for (Index i = 0; i < c.cols(); ++i) {
-      const auto& v = variables[static_cast<std::size_t>(i)];
+      const auto& v = variables[i];
       if (!(c.col(i).array() >= v.lower - 1e-9 * v.scale).all() ||
           !(c.col(i).array() <= v.upper + 1e-9 * v.scale).all())
-        wrong.miss("a point of the box that decodes to " + v.name + " out of its bounds" + at);
+        wrong.miss("a point in the box decodes to " + v.name + " outside its bounds" + at);
     }
   }
   return wrong.outcome();
@@ -353,19 +353,20 @@ const std::vector<Law>& trajectory_laws() {
        advance_pullback_is_exact},
       {"targets_pullback_is_exact", "targets_pullback agrees with central differences (relative).", 1e-6,
        targets_pullback_is_exact},
-      {"path_is_continuous", "Targets move by little per frame and stay finite, under default and random controls (m).",
-       0.05, path_is_continuous},
+      {"path_is_continuous", "Targets move little per frame and stay finite for default and random controls (m).", 0.05,
+       path_is_continuous},
       {"never_below_contact_height", "Targets never go below contact height (m).", 0, never_below_contact_height},
       {"default_controls_release", "progress() is 0 at the start and reaches 1 under the default controls (segments).",
        25, default_controls_release},
-      {"decode_encode_round_trip", "decode(encode(controls)) gives the controls back (in scales).", 1e-9,
+      {"decode_encode_round_trip", "decode(encode(controls)) returns the controls (in scales).", 1e-9,
        decode_encode_round_trip},
       {"decode_pullback_is_exact", "decode_pullback agrees with central differences (relative).", 1e-6,
        decode_pullback_is_exact},
       {"decision_box_is_sound",
        "The decision box is finite, holds the default and decodes into the controls' bounds (violations).", 0,
        decision_box_is_sound},
-      {"same_bits_on_two_threads", "Two threads get what one gets (numbers that differ).", 0, same_bits_on_two_threads},
+      {"same_bits_on_two_threads", "Two threads get the bits of one (numbers that differ).", 0,
+       same_bits_on_two_threads},
       {"refuses_bad_shapes", "Wrong sizes are refused with ShapeError (accepted).", 0, refuses_bad_shapes},
   };
   return laws;

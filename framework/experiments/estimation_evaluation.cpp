@@ -4,11 +4,12 @@
 #include <cmath>
 #include <cstdio>
 #include <nlohmann/json.hpp>
-#include <numeric>
 
-#include "learning/dataset_files.hpp"
-#include "report/page.hpp"
+#include "experiments/json_numbers.hpp"
+#include "experiments/statistics.hpp"
+#include "report/cases_file.hpp"
 #include "session/replay.hpp"
+#include "session/session.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"
@@ -19,176 +20,73 @@ namespace {
 using nlohmann::ordered_json;
 namespace fs = std::filesystem;
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr const char* kCaseSchema = "weft estimation case 1";
 constexpr int kCalibrationSweeps = 600;  // quantiles to a few per cent: less than so few cases can tell
-constexpr std::uint64_t kCaseStream = 0x6576616c;
 
-double metric(const AblationRow& row, const std::string& name) {
-  for (const auto& [key, value] : row.outcome.metrics) {
-    if (key == name) return value;
+/// All entries, in the order in which they lie.
+ordered_json numbers(const auto& matrix) {
+  auto list = ordered_json::array();
+  for (Index i = 0; i < matrix.size(); ++i) list.push_back(json_number(matrix.data()[i]));
+  return list;
+}
+void read_numbers(const ordered_json& list, auto& matrix) {
+  for (Index i = 0; i < matrix.size(); ++i) matrix.data()[i] = number_of(list.at(i));
+}
+
+/// Case of a row of "weft ablation row 1": numbers by name, such as c_bend_02 for the centre after two segments.
+EstimationCase case_of_metrics(const SweepRow& row) {
+  EstimationCase one;
+  for (std::size_t p = 0; p < 4; ++p) one.truth(p) = row.metric(std::string("q_") + kPropertyNames[p]);
+  const auto at_step = [&](const char* what, std::size_t property, int step) {
+    char name[60];
+    std::snprintf(name, sizeof name, "%s_%s_%02d", what, kPropertyNames[property], step);
+    return row.metric(name);
+  };
+  for (int step = 1; step <= row.metric("segments"); ++step) {
+    MaterialKnowledge k;
+    for (std::size_t p = 0; p < 4; ++p) {
+      k.centre(p) = at_step("c", p, step);
+      k.width(p) = at_step("w", p, step);
+    }
+    one.knowledge.push_back(k);
   }
-  return kNaN;
-}
-
-double quantile(std::vector<double> values, double at) {
-  if (values.empty()) return kNaN;
-  std::sort(values.begin(), values.end());
-  const double place = at * static_cast<double>(values.size() - 1);
-  const auto below = static_cast<std::size_t>(place);
-  const std::size_t above = std::min(below + 1, values.size() - 1);
-  return values[below] + (place - static_cast<double>(below)) * (values[above] - values[below]);
-}
-
-struct Spread {
-  double mean = kNaN, sd = kNaN, median = kNaN;
-};
-Spread spread_of(const std::vector<double>& values) {
-  if (values.empty()) return {};
-  const auto n = static_cast<double>(values.size());
-  const double mean = std::accumulate(values.begin(), values.end(), 0.0) / n;
-  double square = 0.0;
-  for (const double v : values) square += (v - mean) * (v - mean);
-  return {mean, values.size() > 1 ? std::sqrt(square / (n - 1.0)) : kNaN, quantile(values, 0.5)};
-}
-
-ordered_json number(double value) { return std::isfinite(value) ? ordered_json(value) : ordered_json(nullptr); }
-ordered_json json_of(const Spread& s) {
-  return {{"mean", number(s.mean)}, {"sd", number(s.sd)}, {"median", number(s.median)}};
-}
-
-std::string text_of(double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.9g", value);
-  return text;
-}
-
-ConfigNode matrix_node(const Controls& controls) {
-  std::vector<ConfigNode> rows;
-  for (Index j = 0; j < controls.rows(); ++j) {
-    std::vector<ConfigNode> row;
-    for (Index c = 0; c < controls.cols(); ++c) row.push_back(ConfigNode::number(controls(j, c)));
-    rows.push_back(ConfigNode::sequence(row));
-  }
-  return ConfigNode::sequence(rows);
-}
-
-std::uint64_t seed_of(const ConfigNode& session) { return static_cast<std::uint64_t>(session.at("seed").as_int()); }
-
-/// Where a cell keeps its shapes. @param level of the cell's arm.
-fs::path shape_file(const fs::path& folder, std::uint64_t seed, const std::string& level) {
-  return folder / "shapes" / ("seed" + std::to_string(seed) + "-" + level + ".h5");
-}
-std::string width_level(double width) { return "w" + text_of(width); }
-
-/// What the cells' config says about where the cases come from, so that rows of other cases are refused.
-std::string describe(const EvaluationCases& cases, const std::string& what) {
-  std::string text = what + ", cases: " + cases.source;
-  if (cases.dataset) text += " of dataset " + cases.dataset->header.identity;
-  return text;
-}
-
-const std::string kPosterior = "posterior_";
-std::string step_key(const char* what, std::size_t property, Index step) {
-  char text[60];
-  std::snprintf(text, sizeof text, "%s_%s_%02d", what, kPropertyNames[property], static_cast<int>(step));
-  return text;
-}
-
-/// The rows of one arm that ran.
-std::vector<const AblationRow*> done_rows(const EvaluationColumn& column, std::size_t arm) {
-  std::vector<const AblationRow*> rows;
-  for (const auto& row : column.rows) {
-    if (row.arm == arm && row.failure.empty()) rows.push_back(&row);
-  }
-  return rows;
-}
-
-MaterialProperties truth_of(const AblationRow& row) {
-  MaterialProperties q;
-  for (std::size_t p = 0; p < 4; ++p) q(static_cast<Index>(p)) = metric(row, std::string("q_") + kPropertyNames[p]);
-  return q;
-}
-MaterialKnowledge knowledge_of(const AblationRow& row, Index step) {
-  MaterialKnowledge k;
-  for (std::size_t p = 0; p < 4; ++p) {
-    k.centre(static_cast<Index>(p)) = metric(row, step_key("c", p, step));
-    k.width(static_cast<Index>(p)) = metric(row, step_key("w", p, step));
-  }
-  return k;
-}
-Index steps_of(const AblationRow& row) { return static_cast<Index>(metric(row, "segments")); }
-
-MaterialPosterior posterior_of(const AblationRow& row) {
-  MaterialPosterior posterior;
   Index at = 0;
-  const auto next = [&] { return metric(row, kPosterior + std::to_string(at++)); };
+  const auto next = [&] { return row.metric("posterior_" + std::to_string(at++)); };
+  MaterialPosterior posterior;
   for (Index p = 0; p < 4; ++p) posterior.mode(p) = next();
   for (Index p = 0; p < 4; ++p) posterior.gradient(p) = next();
   for (Index p = 0; p < 16; ++p) posterior.precision.data()[p] = next();
-  return posterior;
+  if (std::isfinite(posterior.mode(0))) one.posterior = posterior;
+  return one;
 }
 
-ordered_json planning_column(const EvaluationColumn& column) {
-  ordered_json json{{"goals", column.cases.source}};
-  json["complete"] = column.rows.size() == column.plan.arms.size() * column.plan.seeds.size();
-  json["cases"] = ordered_json::array();
-  json["by_width"] = ordered_json::array();
-  for (std::size_t a = 0; a < column.plan.arms.size(); ++a) {
-    const double width = column.plan.arms[a].config.at("drawn_width").as_double();
-    std::vector<double> errors;
-    for (const auto& row : column.rows) {
-      if (row.arm != a) continue;
-      const auto goal =
-          std::find(column.plan.seeds.begin(), column.plan.seeds.end(), row.seed) - column.plan.seeds.begin();
-      ordered_json one{{"width", width}, {"goal", goal}, {"seed", row.seed}};
-      one["error_mm"] = number(metric(row, "error_mm"));
-      if (!row.failure.empty()) {
-        one["error_mm"] = nullptr;
-        one["failed"] = row.failure;
-      } else {
-        errors.push_back(metric(row, "error_mm"));
-        for (const char* key : {"default_error_mm", "plan_seconds", "first_plan_seconds", "segments", "released"})
-          one[key] = number(metric(row, key));
-      }
-      json["cases"].push_back(one);
-    }
-    const Spread s = spread_of(errors);
-    const double q1 = quantile(errors, 0.25), q3 = quantile(errors, 0.75), reach = 1.5 * (q3 - q1);
-    const auto outliers =
-        std::count_if(errors.begin(), errors.end(), [&](double e) { return e < q1 - reach || e > q3 + reach; });
-    json["by_width"].push_back({{"width", width},
-                                {"n", errors.size()},
-                                {"mean_mm", number(s.mean)},
-                                {"median_mm", number(s.median)},
-                                {"sd_mm", number(s.sd)},
-                                {"q1_mm", number(q1)},
-                                {"q3_mm", number(q3)},
-                                {"outliers", outliers}});
-  }
-  return json;
+ordered_json json_of(const Spread& s) {
+  return {{"mean", json_number(s.mean)}, {"sd", json_number(s.sd)}, {"median", json_number(s.median)}};
 }
 
 /// One method's figures: Table 1 and what it leaves out.
 ordered_json estimation_figures(const EvaluationColumn& column, std::size_t arm) {
-  const auto rows = done_rows(column, arm);
   std::vector<MaterialProperties> truth;
   std::vector<MaterialKnowledge> last;
   std::vector<MaterialPosterior> posteriors;
   std::vector<double> seconds;
-  for (const auto* row : rows) {
-    truth.push_back(truth_of(*row));
-    last.push_back(knowledge_of(*row, steps_of(*row)));
-    seconds.push_back(metric(*row, "slowest_estimate_seconds"));
-    if (std::isfinite(metric(*row, kPosterior + "0"))) posteriors.push_back(posterior_of(*row));
+  for (const auto& row : column.rows) {
+    if (row.arm != arm || !row.failure.empty()) continue;
+    const EstimationCase one = estimation_case(row);
+    truth.push_back(one.truth);
+    last.push_back(one.knowledge.back());
+    seconds.push_back(row.metric("slowest_estimate_seconds"));
+    if (one.posterior) posteriors.push_back(*one.posterior);
   }
-  ordered_json json{{"method", column.plan.arms[arm].levels.front()}, {"n", rows.size()}};
+  const std::size_t count = truth.size();
+  ordered_json json{{"method", column.plan.arms[arm].levels.front()}, {"n", count}};
   json["properties"] = ordered_json::object();
   double narrow = 0.0;
   for (std::size_t p = 0; p < 4; ++p) {
     const auto i = static_cast<Index>(p);
     std::vector<double> errors, widths;
     double failures = 0.0;
-    for (std::size_t k = 0; k < rows.size(); ++k) {
+    for (std::size_t k = 0; k < count; ++k) {
       const double error = std::abs(last[k].centre(i) - truth[k](i));
       errors.push_back(error);
       widths.push_back(last[k].width(i));
@@ -197,17 +95,19 @@ ordered_json estimation_figures(const EvaluationColumn& column, std::size_t arm)
       failures += error > 0.1 && outside;
     }
     const IntervalFigures f = interval_figures(last, truth, i);
-    const auto n = static_cast<double>(rows.size());
+    const auto n = static_cast<double>(count);
     json["properties"][kPropertyNames[p]] = {
         {"abs_error", json_of(spread_of(errors))},
         {"width", json_of(spread_of(widths))},
-        {"failure_rate", number(failures / n)},
-        {"coverage", {{"0.5", number(f.coverage50)}, {"0.8", number(f.coverage80)}, {"1", number(f.coverage100)}}},
-        {"interval_score", number(f.score)}};
+        {"failure_rate", json_number(failures / n)},
+        {"coverage",
+         {{"0.5", json_number(f.coverage50)}, {"0.8", json_number(f.coverage80)}, {"1", json_number(f.coverage100)}}},
+        {"interval_score", json_number(f.score)}};
   }
-  json["narrow_share"] = number(narrow / (4.0 * static_cast<double>(rows.size())));  // w < 0.02
-  json["estimate_seconds"] = {{"median", number(quantile(seconds, 0.5))}, {"max", number(quantile(seconds, 1.0))}};
-  if (posteriors.size() == rows.size() && !rows.empty()) {
+  json["narrow_share"] = json_number(narrow / (4.0 * static_cast<double>(count)));  // w < 0.02
+  json["estimate_seconds"] = {{"median", json_number(quantile_of(seconds, 0.5))},
+                              {"max", json_number(quantile_of(seconds, 1.0))}};
+  if (posteriors.size() == count && count > 0) {
     const PropertyVector scale = calibrate_deviations(posteriors, truth);
     std::vector<MaterialKnowledge> scaled;
     for (const auto& posterior : posteriors) scaled.push_back(interval_of(posterior.widened(scale)));
@@ -231,126 +131,95 @@ ordered_json estimation_cases(const EvaluationColumn& column, std::size_t arm) {
     if (!row.failure.empty()) {
       one["failed"] = row.failure;
     } else {
-      one["true_material"] = list(truth_of(row));
+      const EstimationCase found = estimation_case(row);
+      one["true_material"] = list(found.truth);
       one["knowledge"] = ordered_json::array();
-      for (Index j = 0; j <= steps_of(row); ++j) {
-        const MaterialKnowledge k = j == 0 ? MaterialKnowledge::none() : knowledge_of(row, j);
+      const auto add = [&](const MaterialKnowledge& k) {
         one["knowledge"].push_back({{"centre", list(k.centre)}, {"width", list(k.width)}});
-      }
-      one["slowest_estimate_seconds"] = number(metric(row, "slowest_estimate_seconds"));
+      };
+      add(MaterialKnowledge::none());
+      for (const auto& k : found.knowledge) add(k);
+      one["slowest_estimate_seconds"] = json_number(row.metric("slowest_estimate_seconds"));
     }
     cases.push_back(one);
   }
   return cases;
 }
 
+/// The manipulation of a fresh case. A draw that never releases, or fails, is no manipulation to learn from: the next
+/// one is taken.
+Example make_released(const Task& task, const DataParams& data, std::uint64_t seed, Host& host) {
+  const auto simulator = host.create<Simulator>(task.simulator);
+  for (std::int64_t attempt = 0; attempt < 50; ++attempt) {
+    Example made = make_example(*simulator, task, data, seed, attempt);
+    if (made.released) return made;
+  }
+  throw Error("none of 50 random trajectories was released");
+}
+
+Replay replay_of(const Example& example, Index vertices) {
+  Replay replay;
+  for (Index j = 0; j <= example.segments(); ++j) {
+    Positions positions(vertices, 3);
+    const float* from = example.shapes.data() + j * vertices * 3;
+    for (Index i = 0; i < positions.size(); ++i) positions.data()[i] = static_cast<double>(from[i]);
+    replay.shapes.push_back(std::move(positions));
+  }
+  replay.state = example.states.row(0).transpose();
+  replay.controls = example.controls;
+  return replay;
+}
+
 }  // namespace
 
-const Example* EvaluationCases::example(std::uint64_t seed) const {
-  if (!dataset) return nullptr;
-  return &dataset->examples.at(examples.at(seed));
+SweepPayload to_payload(const EstimationCase& one) {
+  ordered_json json{{"true_material", numbers(one.truth)}, {"knowledge", ordered_json::array()}};
+  for (const auto& k : one.knowledge)
+    json["knowledge"].push_back({{"centre", numbers(k.centre)}, {"width", numbers(k.width)}});
+  if (one.posterior) {
+    json["posterior"] = {{"mode", numbers(one.posterior->mode)},
+                         {"gradient", numbers(one.posterior->gradient)},
+                         {"precision", numbers(one.posterior->precision)}};
+  }
+  return {kCaseSchema, json.dump()};
 }
 
-EvaluationCases choose_cases(const std::string& source, std::int64_t count, std::uint64_t seed,
-                             std::shared_ptr<const Dataset> dataset) {
-  EvaluationCases cases;
-  cases.source = source;
-  for (std::int64_t i = 0; i < count; ++i) {
-    // A session's seed fits an int64 below 9e18.
-    cases.seeds.push_back(RandomStream(seed, kCaseStream, static_cast<std::uint64_t>(i)).bits64() >> 2);
-  }
-  if (source == "fresh") return cases;
-  const Split split = split_named(source);
-  if (!dataset) throw ConfigError("cases from the " + source + " split need a dataset: --data FOLDER");
-  std::vector<std::size_t> released;
-  for (const auto i : dataset->select(split)) {
-    if (dataset->examples[i].released) released.push_back(i);
-  }
-  if (static_cast<std::int64_t>(released.size()) < count) {
-    throw ConfigError("the " + source + " split holds " + std::to_string(released.size()) +
-                      " released examples, fewer than the " + std::to_string(count) + " cases asked for");
-  }
-  RandomStream random(seed, kCaseStream + 1);
-  for (std::size_t i = 0; i < cases.seeds.size(); ++i) {
-    std::swap(released[i], released[i + static_cast<std::size_t>(random.below(released.size() - i))]);
-    cases.examples[cases.seeds[i]] = released[i];
-  }
-  cases.dataset = std::move(dataset);
-  return cases;
-}
-
-AblationPlan planning_evaluation(const ConfigNode& session, const std::vector<double>& widths,
-                                 const EvaluationCases& cases) {
-  AblationPlan plan;
-  plan.description = describe(cases, "planning against the width of the knowledge");
-  plan.factors = {"drawn_width"};
-  plan.seeds = cases.seeds;
-  for (const double width : widths) {
-    AblationArm arm;
-    arm.name = "w = " + text_of(width);
-    arm.levels = {text_of(width)};
-    arm.config = session.with("description", ConfigNode::quoted(plan.description))
-                     .with("knowledge", ConfigNode::quoted("drawn"))
-                     .with("drawn_width", ConfigNode::number(width));
-    plan.arms.push_back(std::move(arm));
-  }
-  return plan;
-}
-
-AblationRunner planning_runner(const EvaluationCases& cases, const fs::path& folder) {
-  return [cases, folder](const ConfigNode& cell, Host& host) {
-    const std::uint64_t seed = seed_of(cell);
-    ConfigNode config = cell;
-    if (const Example* example = cases.example(seed)) {
-      std::vector<ConfigNode> q;
-      for (Index p = 0; p < 4; ++p) q.push_back(ConfigNode::number(example->q(p)));
-      config = config.with("true_material", ConfigNode::sequence(q));
-      config = config.with("goal", ConfigNode::mapping({{"controls", matrix_node(example->controls)}}));
-    }
-    SessionParams params;
-    read_params(config, params);
-    const SessionResult result = run_configured_session(params, config, host);
-    fs::create_directories(folder / "shapes");
-    auto file = Hdf5File::create(shape_file(folder, seed, width_level(params.drawn_width)));
-    file.write("/goal", result.goal);
-    file.write("/final", result.final_shape);
-    file.commit();
-    return session_outcome(result);
+EstimationCase estimation_case(const SweepRow& row) {
+  const auto& payload = row.outcome.payload;
+  const auto fail = [&](const std::string& what) {
+    throw ConfigError(row.file.string() + ": " + what + "; remove it to run its cell again");
   };
-}
-
-void write_planning_shapes(const EvaluationColumn& column, const Garment& garment, const fs::path& folder,
-                           const fs::path& path) {
-  std::vector<std::int64_t> goal_of;
-  std::vector<bool> has_goal(column.plan.seeds.size());
-  std::vector<Positions> goals(column.plan.seeds.size(), garment.positions), finals;
-  for (std::size_t a = 0; a < column.plan.arms.size(); ++a) {
-    const double width = column.plan.arms[a].config.at("drawn_width").as_double();
-    for (const auto& row : column.rows) {
-      if (row.arm != a) continue;
-      const auto goal = static_cast<std::size_t>(
-          std::find(column.plan.seeds.begin(), column.plan.seeds.end(), row.seed) - column.plan.seeds.begin());
-      goal_of.push_back(static_cast<std::int64_t>(goal));
-      if (!row.failure.empty()) {
-        finals.push_back(garment.positions);  // the row has no error, and the page shows none
-        continue;
+  EstimationCase one;
+  if (payload.schema.empty()) {
+    one = case_of_metrics(row);
+  } else {
+    if (payload.schema != kCaseSchema)
+      fail("holds a '" + payload.schema + "', this program reads '" + kCaseSchema + "'");
+    try {
+      const auto json = ordered_json::parse(payload.json);
+      read_numbers(json.at("true_material"), one.truth);
+      for (const auto& item : json.at("knowledge")) {
+        one.knowledge.emplace_back();
+        read_numbers(item.at("centre"), one.knowledge.back().centre);
+        read_numbers(item.at("width"), one.knowledge.back().width);
       }
-      const auto file = Hdf5File::open(shape_file(folder, row.seed, width_level(width)));
-      finals.push_back(file.read_positions("/final"));
-      if (!has_goal[goal]) goals[goal] = file.read_positions("/goal");
-      has_goal[goal] = true;
+      if (const auto posterior = json.find("posterior"); posterior != json.end()) {
+        one.posterior.emplace();
+        read_numbers(posterior->at("mode"), one.posterior->mode);
+        read_numbers(posterior->at("gradient"), one.posterior->gradient);
+        read_numbers(posterior->at("precision"), one.posterior->precision);
+      }
+    } catch (const nlohmann::json::exception& error) {
+      fail(std::string("is damaged: ") + error.what());
     }
   }
-  auto file = create_cases_file(path, garment);
-  write_shapes(file, "/planning/goals", goals);
-  write_shapes(file, "/planning/finals", finals);
-  file.write("/planning/goal_of", {static_cast<Index>(goal_of.size())}, goal_of.data());
-  file.commit();
+  if (one.knowledge.empty()) fail("holds no estimate");
+  return one;
 }
 
-AblationPlan estimation_evaluation(const ConfigNode& session, const std::vector<std::string>& methods,
-                                   const DataParams& data, const EvaluationCases& cases) {
-  AblationPlan plan;
+SweepPlan estimation_evaluation(const ConfigNode& session, const std::vector<std::string>& methods,
+                                const DataParams& data, const EvaluationCases& cases) {
+  SweepPlan plan;
   DataParams copy = data;
   std::string made;
   if (!cases.dataset) {
@@ -363,7 +232,7 @@ AblationPlan estimation_evaluation(const ConfigNode& session, const std::vector<
   plan.factors = {"estimation.method"};
   plan.seeds = cases.seeds;
   for (const auto& method : methods) {
-    AblationArm arm;
+    SweepArm arm;
     arm.name = method;
     arm.levels = {method};
     arm.config = session.with("description", ConfigNode::quoted(plan.description))
@@ -375,7 +244,7 @@ AblationPlan estimation_evaluation(const ConfigNode& session, const std::vector<
   return plan;
 }
 
-AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams& data, const fs::path& folder) {
+SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& data, const fs::path& folder) {
   return [cases, data, folder](const ConfigNode& config, Host& host) {
     SessionParams params;
     read_params(config, params);
@@ -384,60 +253,29 @@ AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams&
     const auto predictor = bound_predictor(place(config, "predictor"), task, host);
     const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
                               host);
-    Example made;
-    const Example* example = cases.example(seed);
-    if (example == nullptr) {
-      const auto simulator = host.create<Simulator>(task.simulator);
-      // A draw that never releases, or fails, is no manipulation to learn from: the next one is taken.
-      for (std::int64_t attempt = 0; attempt < 50 && !made.released; ++attempt)
-        made = make_example(*simulator, task, data, seed, attempt);
-      if (!made.released) throw Error("none of 50 random trajectories was released");
-      example = &made;
-    }
+    const Example* known = cases.example(seed);
+    const Example example = known != nullptr ? *known : make_released(task, data, seed, host);
     const Index vertices = task.garment->vertex_count();
-    const auto shape = [&](Index j) {
-      Positions positions(vertices, 3);
-      const float* from = example->shapes.data() + j * vertices * 3;
-      for (Index i = 0; i < positions.size(); ++i) positions.data()[i] = static_cast<double>(from[i]);
-      return positions;
-    };
     fs::create_directories(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, params.estimation.method));
-    file.write("/shapes", {example->segments() + 1, vertices, 3}, example->shapes.data());
+    file.write("/shapes", {example.segments() + 1, vertices, 3}, example.shapes.data());
     file.commit();
-    AblationOutcome outcome;
-    for (std::size_t p = 0; p < 4; ++p)
-      outcome.metrics.emplace_back(std::string("q_") + kPropertyNames[p], example->q(static_cast<Index>(p)));
-    outcome.metrics.emplace_back("segments", static_cast<double>(example->segments()));
 
-    Replay replay;
-    for (Index j = 0; j <= example->segments(); ++j) replay.shapes.push_back(shape(j));
-    replay.state = example->states.row(0).transpose();
-    replay.controls = example->controls;
-    const auto estimates = replay_estimates(estimator, task, params.observation, replay, seed, host);
+    const auto estimates =
+        replay_estimates(estimator, task, params.observation, replay_of(example, vertices), seed, host);
+    EstimationCase found{example.q, {}, estimates.back().posterior};
     double slowest = 0.0;
-    for (Index j = 1; j <= example->segments(); ++j) {
-      const auto& estimate = estimates[static_cast<std::size_t>(j - 1)];
+    for (const auto& estimate : estimates) {
       slowest = std::max(slowest, estimate.seconds);
-      for (std::size_t p = 0; p < 4; ++p) {
-        outcome.metrics.emplace_back(step_key("c", p, j), estimate.knowledge.centre(static_cast<Index>(p)));
-        outcome.metrics.emplace_back(step_key("w", p, j), estimate.knowledge.width(static_cast<Index>(p)));
-      }
+      found.knowledge.push_back(estimate.knowledge);
     }
-    outcome.metrics.emplace_back("slowest_estimate_seconds", slowest);
-    const auto& last = estimates.back();
-    outcome.metrics.emplace_back("nll", last.nll);
-    outcome.metrics.emplace_back("misfit", last.misfit);
-    if (last.posterior) {
-      std::vector<double> values;
-      const auto& posterior = *last.posterior;
-      values.insert(values.end(), posterior.mode.data(), posterior.mode.data() + 4);
-      values.insert(values.end(), posterior.gradient.data(), posterior.gradient.data() + 4);
-      values.insert(values.end(), posterior.precision.data(), posterior.precision.data() + 16);
-      for (std::size_t i = 0; i < values.size(); ++i)
-        outcome.metrics.emplace_back(kPosterior + std::to_string(i), values[i]);
-    }
+    SweepOutcome outcome;
+    outcome.metrics = {{"segments", static_cast<double>(example.segments())},
+                       {"slowest_estimate_seconds", slowest},
+                       {"nll", estimates.back().nll},
+                       {"misfit", estimates.back().misfit}};
     outcome.paired_by = std::to_string(seed);
+    outcome.payload = to_payload(found);
     return outcome;
   };
 }
@@ -464,30 +302,6 @@ void write_estimation_shapes(const EvaluationColumn& column, const Garment& garm
   file.commit();
 }
 
-std::string planning_evaluation_json(const std::vector<EvaluationColumn>& columns) {
-  ordered_json json = planning_column(columns.front());
-  json["columns"] = ordered_json::object();
-  for (std::size_t i = 1; i < columns.size(); ++i)
-    json["columns"][columns[i].cases.source] = planning_column(columns[i]);
-  return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
-}
-
-std::string planning_evaluation_csv(const std::vector<EvaluationColumn>& columns) {
-  std::string text =
-      "goals,width,goal,seed,error_mm,default_error_mm,segments,released,first_plan_seconds,plan_seconds\n";
-  for (const auto& column : columns) {
-    const ordered_json json = planning_column(column);
-    for (const auto& one : json["cases"]) {
-      text += column.cases.source;
-      for (const char* key : {"width", "goal", "seed", "error_mm", "default_error_mm", "segments", "released",
-                              "first_plan_seconds", "plan_seconds"})
-        text += "," + (one.contains(key) && !one[key].is_null() ? one[key].dump() : std::string());
-      text += "\n";
-    }
-  }
-  return text;
-}
-
 std::string estimation_evaluation_json(const std::vector<EvaluationColumn>& columns) {
   ordered_json all = ordered_json::object();
   for (const auto& column : columns) {
@@ -499,7 +313,7 @@ std::string estimation_evaluation_json(const std::vector<EvaluationColumn>& colu
   const auto& main = columns.front();
   ordered_json json = all[main.cases.source][main.plan.arms.front().name];
   json["goals"] = main.cases.source;
-  json["complete"] = main.rows.size() == main.plan.arms.size() * main.plan.seeds.size();
+  json["complete"] = main.rows.size() == main.plan.cells();
   json["cases"] = estimation_cases(main, 0);
   json["columns"] = all;
   return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
@@ -510,31 +324,17 @@ std::string estimation_evaluation_csv(const std::vector<EvaluationColumn>& colum
   for (const auto& column : columns) {
     for (const auto& row : column.rows) {
       if (!row.failure.empty()) continue;
-      const MaterialProperties q = truth_of(row);
-      for (Index j = 1; j <= steps_of(row); ++j) {
-        const MaterialKnowledge k = knowledge_of(row, j);
+      const EstimationCase one = estimation_case(row);
+      for (std::size_t j = 0; j < one.knowledge.size(); ++j) {
+        const MaterialKnowledge& k = one.knowledge[j];
         for (std::size_t p = 0; p < 4; ++p) {
           const auto i = static_cast<Index>(p);
           text += column.cases.source + "," + column.plan.arms[row.arm].name + "," + std::to_string(row.seed) + "," +
-                  std::to_string(j) + "," + kPropertyNames[p] + "," + text_of(q(i)) + "," + text_of(k.centre(i)) + "," +
-                  text_of(k.width(i)) + "\n";
+                  std::to_string(j + 1) + "," + kPropertyNames[p] + "," + text_of(one.truth(i)) + "," +
+                  text_of(k.centre(i)) + "," + text_of(k.width(i)) + "\n";
         }
       }
     }
-  }
-  return text;
-}
-
-std::string planning_evaluation_table(const EvaluationColumn& column) {
-  const ordered_json json = planning_column(column);
-  std::string text = "goals: " + column.cases.source + "\n    w    n    median      mean        sd  outliers   mm\n";
-  for (const auto& row : json["by_width"]) {
-    if (row["n"] == 0) continue;
-    char line[120];
-    std::snprintf(line, sizeof line, "%5.2f  %3d  %8.2f  %8.2f  %8.2f  %8d\n", row["width"].get<double>(),
-                  row["n"].get<int>(), row["median_mm"].get<double>(), row["mean_mm"].get<double>(),
-                  row["sd_mm"].is_null() ? 0.0 : row["sd_mm"].get<double>(), row["outliers"].get<int>());
-    text += line;
   }
   return text;
 }

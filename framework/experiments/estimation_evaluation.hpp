@@ -1,65 +1,44 @@
 #pragma once
-#include <map>
-#include <memory>
+#include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
-#include "experiments/experiment_config.hpp"
-#include "experiments/sweep.hpp"
+#include "experiments/cases.hpp"
+#include "learning/generate.hpp"
 #include "session/material_posterior.hpp"
+#include "weft/garment.hpp"
 
+/// `weft evaluate estimation`: estimates of the material while manipulations are replayed (section 5).
 namespace weft {
 
-/// The cases of `weft evaluate planning` and `weft evaluate estimation`: fresh ones made from the seed, which no
-/// dataset holds, or examples of a split.
-struct EvaluationCases {
-  std::string source;                      ///< fresh, test, validation, train
-  std::vector<std::uint64_t> seeds;        ///< [n]: a session's seed each; all of a case's random numbers come from it
-  std::shared_ptr<const Dataset> dataset;  ///< null: fresh
-  std::map<std::uint64_t, std::size_t> examples;  ///< seed -> position in dataset->examples
-
-  const Example* example(std::uint64_t seed) const;  ///< null: fresh
+/// What a cell found: the estimates of one manipulation. The payload of its row.
+struct EstimationCase {
+  MaterialProperties truth;
+  std::vector<MaterialKnowledge> knowledge;    ///< after 1, 2, ... segments
+  std::optional<MaterialPosterior> posterior;  ///< after the last one, where the method has one
 };
-/// @param dataset ignored for source fresh. Released examples of the split, in an order drawn from the seed.
-/// @throws ConfigError when the split holds fewer than `count`.
-EvaluationCases choose_cases(const std::string& source, std::int64_t count, std::uint64_t seed,
-                             std::shared_ptr<const Dataset> dataset);
-
-/// Fig. 3: one arm per width, a closed-loop session per arm and case; c drawn as in section 4. Goals are what a random
-/// trajectory or the example's controls make of the case's true material.
-/// @param session config of the sessions; `knowledge` and `drawn_width` are set here.
-AblationPlan planning_evaluation(const ConfigNode& session, const std::vector<double>& widths,
-                                 const EvaluationCases& cases);
-/// Runs a cell of it, and keeps goal and final shape in folder/shapes (see write_planning_shapes).
-AblationRunner planning_runner(const EvaluationCases& cases, const std::filesystem::path& folder);
+SweepPayload to_payload(const EstimationCase& one);
+/// @param row that ran. Rows of "weft ablation row 1" hold the case as metrics, and are read, too.
+/// @throws ConfigError for another payload, and for a damaged one.
+EstimationCase estimation_case(const SweepRow& row);
 
 /// Section 5: one arm per method; a case is a manipulation replayed under the case's material, estimated after every
 /// segment.
-AblationPlan estimation_evaluation(const ConfigNode& session, const std::vector<std::string>& methods,
-                                   const DataParams& data, const EvaluationCases& cases);
+SweepPlan estimation_evaluation(const ConfigNode& session, const std::vector<std::string>& methods,
+                                const DataParams& data, const EvaluationCases& cases);
 /// Runs a cell of it, and keeps the shapes of the manipulation in folder/shapes (see write_estimation_shapes).
-AblationRunner estimation_runner(const EvaluationCases& cases, const DataParams& data,
-                                 const std::filesystem::path& folder);
+SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& data,
+                              const std::filesystem::path& folder);
 
-/// One source's rows of an evaluation.
-struct EvaluationColumn {
-  EvaluationCases cases;
-  AblationPlan plan;
-  std::vector<AblationRow> rows;
-};
-/// planning.json, planning.csv, estimation.json (docs/file-formats.md). The first column (of estimation: its first
-/// method) has the keys at the top level; all are under `columns`.
-std::string planning_evaluation_json(const std::vector<EvaluationColumn>& columns);
-std::string planning_evaluation_csv(const std::vector<EvaluationColumn>& columns);
+/// estimation.json, estimation.csv (docs/file-formats.md). The first method of the first column has the keys at the top
+/// level; all are under `columns`.
 std::string estimation_evaluation_json(const std::vector<EvaluationColumn>& columns);
 std::string estimation_evaluation_csv(const std::vector<EvaluationColumn>& columns);
-/// Tables for people.
-std::string planning_evaluation_table(const EvaluationColumn& column);
-std::string estimation_evaluation_table(const std::string& json);  ///< of estimation_evaluation_json
-/// cases.h5 of the page: goals and final shapes of the rows of planning.json's `cases`, from folder/shapes.
-void write_planning_shapes(const EvaluationColumn& column, const Garment& garment, const std::filesystem::path& folder,
-                           const std::filesystem::path& file);
-/// The same for estimation.json: the cloth of its `cases` at the start and after every segment.
+/// A table for people. @param json of estimation_evaluation_json
+std::string estimation_evaluation_table(const std::string& json);
+/// cases.h5 of the page: the cloth of estimation.json's `cases` at the start and after every segment, from
+/// folder/shapes.
 void write_estimation_shapes(const EvaluationColumn& column, const Garment& garment,
                              const std::filesystem::path& folder, const std::filesystem::path& file);
 

@@ -3,23 +3,36 @@
 #include <string>
 #include <vector>
 
-#include "experiments/experiment_config.hpp"
+#include "experiments/prediction_figures.hpp"
+#include "weft/dataset.hpp"
+#include "weft/host.hpp"
+#include "weft/params.hpp"
+#include "weft/predictor.hpp"
+#include "weft/task.hpp"
 
 namespace weft {
 
-/// Errors and calibration of predictions over some cases.
-struct PredictionFigures {
-  double steps = 0.0;                     ///< segments predicted ahead; their mean where cases differ
-  Index n = 0;                            ///< cases
-  Index examples = 0;                     ///< that they come from
-  double mean_mm = 0.0, median_mm = 0.0;  ///< over cases, of the mean vertex distance
-  double nll = 0.0;                       ///< mean over coordinates of -log density, lengths in mm
-  double coverage_1sigma = 0.0;           ///< share of the coordinates within one sigma (normal: 0.683)
-  double nse = 0.0;                       ///< mean of (error / sigma)^2 (calibrated: 1)
-  double sigma_mm = 0.0;                  ///< mean sigma
-  /// Standard errors of the means above, for which the cases of one example count as one observation; NaN where there
-  /// is but one.
-  double mean_mm_se = 0.0, coverage_1sigma_se = 0.0, nse_se = 0.0;
+/// What `weft evaluate prediction` measures.
+struct PredictionEvaluationParams {
+  std::string split = "test";
+  std::int64_t max_examples = 0;
+  std::int64_t batch = 16;
+  std::int64_t random_starts = 4;
+  bool baselines = true;
+  std::int64_t linear_components = 32;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("split", split, choice({"train", "validation", "test", "all"}),
+      "Examples to predict; `all` is for datasets that the model was neither trained nor calibrated on.");
+    v("max_examples", max_examples, range(0, 1e9), "Use that many of them; 0: all.", Decides::nothing);
+    v("batch", batch, range(1, 4096), "Cases per call of the predictor.");
+    v("random_starts", random_starts, range(1, 200),
+      "Segments of an example that predictions from within it begin with: as many as it has, not its first.");
+    v("baselines", baselines,
+      "Also measure the baselines; those that learn from the train split only where it is not what is predicted.");
+    v("linear_components", linear_components, range(1, 512), "PCA components of the linear baseline.");
+  }
 };
 
 /// A released example, predicted from its start with its material known.

@@ -92,6 +92,151 @@ std::string example_fingerprint(const Example& e) {
   return to_columns(one).checksum();
 }
 
+DatasetHeader read_header(const Hdf5File& file, const fs::path& path) {
+  DatasetHeader h;
+  h.config = file.read_text("/config");
+  h.identity = file.read_text("/identity");
+  h.provenance = file.read_text("/provenance");
+  h.garment_name = file.read_text("/garment/name");
+  try {
+    h.seed = std::stoull(file.read_text("/seed"));
+    h.garment_hash = std::stoull(file.read_text("/garment/hash"));
+  } catch (const std::logic_error&) {
+    refuse(path, "/seed or /garment/hash is no number");
+  }
+  h.control_names = words_of(file.read_text("/names/controls"));
+  h.state_names = words_of(file.read_text("/names/states"));
+  const auto sizes = file.read_int("/sizes", 5);
+  if (sizes.size() != 5) refuse(path, "/sizes must have 5 entries");
+  for (const auto size : sizes) {
+    if (size < 1 || size > 1000000) refuse(path, "/sizes holds " + std::to_string(size) + ", must be in [1, 1000000]");
+  }
+  h.vertices = sizes[0];
+  h.controls = sizes[1];
+  h.states = sizes[2];
+  h.hands = sizes[3];
+  h.shard_examples = sizes[4];
+  if (static_cast<Index>(h.control_names.size()) != h.controls ||
+      static_cast<Index>(h.state_names.size()) != h.states) {
+    refuse(path, "/names do not fit /sizes");
+  }
+  const auto fractions = file.read("/split_fractions", 2);
+  if (fractions.size() != 2 ||
+      !(fractions[0] >= 0 && fractions[0] <= 0.5 && fractions[1] >= 0 && fractions[1] <= 0.5)) {
+    refuse(path, "/split_fractions must be two numbers in [0, 0.5]");
+  }
+  h.validation_fraction = fractions[0];
+  h.test_fraction = fractions[1];
+  return h;
+}
+
+void expect_shape(const Hdf5File& file, const fs::path& path, const char* name, const std::vector<Index>& wanted) {
+  const auto got = file.shape(name);
+  if (got != wanted) {
+    std::string text;
+    for (const Index d : got) text += (text.empty() ? "" : ", ") + std::to_string(d);
+    refuse(path, std::string(name) + " has the shape [" + text + "], which does not fit the rest");
+  }
+}
+
+/// The columns with an entry per example, and their failures.
+Columns read_examples(const Hdf5File& file, const fs::path& path) {
+  Columns c;
+  const auto expect = [&](const char* name, const std::vector<Index>& wanted) {
+    expect_shape(file, path, name, wanted);
+  };
+  const auto count_shape = file.shape("/examples/index");
+  if (count_shape.size() != 1 || count_shape[0] < 1 || count_shape[0] > 1000000)
+    refuse(path, "/examples/index must have the shape [n]");
+  const Index n = count_shape[0];
+  const auto most = static_cast<std::size_t>(n) * 4;
+  const auto ints = [&](const char* name) {
+    expect(name, {n});
+    return file.read_int(name, most);
+  };
+  c.index = ints("/examples/index");
+  c.segments = ints("/examples/segments");
+  c.released = ints("/examples/released");
+  c.settled = ints("/examples/settled");
+  c.settle_frames = ints("/examples/settle_frames");
+  expect("/examples/settle_speed", {n});
+  c.settle_speed = file.read("/examples/settle_speed", most);
+  expect("/examples/max_grasp_strain", {n});
+  c.strain = file.read("/examples/max_grasp_strain", most);
+  expect("/examples/q", {n, 4});
+  c.q = file.read("/examples/q", most);
+  for (Index i = 0; i < n; ++i) {
+    const auto at = static_cast<std::size_t>(i);
+    if (c.index[at] < 0 || (i > 0 && c.index[at] <= c.index[at - 1]))
+      refuse(path, "/examples/index must ascend from 0 or more");
+    if (c.segments[at] < 0 || c.segments[at] > kMostSegments) refuse(path, "/examples/segments is out of range");
+    const std::string failure = "/failures/" + std::to_string(c.index[at]);
+    c.failures.push_back(file.has(failure) ? file.read_text(failure) : std::string());
+    if (c.failures.back().empty() == (c.segments[at] == 0)) {
+      refuse(path, "example " + std::to_string(c.index[at]) + " must have either segments or a failure");
+    }
+  }
+  return c;
+}
+
+Columns read_columns(const Hdf5File& file, const fs::path& path, const DatasetHeader& h) {
+  Columns c = read_examples(file, path);
+  Index segments = 0, shapes = 0;
+  for (const Index k : c.segments) {
+    segments += k;
+    shapes += k == 0 ? 0 : k + 1;
+  }
+  const auto expect = [&](const char* name, const std::vector<Index>& wanted) {
+    expect_shape(file, path, name, wanted);
+  };
+  expect("/controls", {segments, h.controls});
+  expect("/states", {shapes, h.states});
+  expect("/targets", {shapes, 3 * h.hands});
+  expect("/shapes", {shapes, h.vertices, 3});
+  c.controls = file.read("/controls");
+  c.states = file.read("/states");
+  c.targets = file.read("/targets");
+  c.shapes = file.read_float("/shapes");
+  const auto finite = [](const auto& v) {
+    return std::all_of(v.begin(), v.end(), [](auto x) { return std::isfinite(x); });
+  };
+  for (const auto* v : {&c.settle_speed, &c.strain, &c.q, &c.controls, &c.states, &c.targets}) {
+    if (!finite(*v)) refuse(path, "holds a number that is not finite");
+  }
+  if (!finite(c.shapes)) refuse(path, "/shapes holds a number that is not finite");
+  return c;
+}
+
+std::vector<Example> to_examples(const Columns& c, const DatasetHeader& h) {
+  std::vector<Example> examples;
+  std::size_t segment = 0, shape = 0;
+  for (std::size_t i = 0; i < c.index.size(); ++i) {
+    Example e;
+    e.index = c.index[i];
+    e.released = c.released[i] != 0;
+    e.settle = {c.settle_frames[i], c.settle_speed[i], c.settled[i] != 0};
+    e.max_grasp_strain = c.strain[i];
+    for (Index p = 0; p < 4; ++p) e.q(p) = c.q[4 * i + static_cast<std::size_t>(p)];
+    e.failure = c.failures[i];
+    const auto k = static_cast<Index>(c.segments[i]);
+    const Index rows = k == 0 ? 0 : k + 1;
+    const auto block = [](const std::vector<double>& from, std::size_t row, Index count, Index columns) {
+      return Controls(
+          Eigen::Map<const Controls>(from.data() + row * static_cast<std::size_t>(columns), count, columns));
+    };
+    e.controls = block(c.controls, segment, k, h.controls);
+    e.states = block(c.states, shape, rows, h.states);
+    e.targets = block(c.targets, shape, rows, 3 * h.hands);
+    const auto width = static_cast<std::size_t>(h.vertices) * 3;
+    e.shapes.assign(c.shapes.begin() + static_cast<std::ptrdiff_t>(shape * width),
+                    c.shapes.begin() + static_cast<std::ptrdiff_t>((shape + static_cast<std::size_t>(rows)) * width));
+    segment += static_cast<std::size_t>(k);
+    shape += static_cast<std::size_t>(rows);
+    examples.push_back(std::move(e));
+  }
+  return examples;
+}
+
 }  // namespace
 
 void write_shard(const fs::path& path, const Shard& shard) {
@@ -144,127 +289,11 @@ Shard read_shard(const fs::path& path) {
     refuse(path, "has the schema '" + schema + "', this program reads '" + kSchema + "'");
   }
   Shard shard;
-  auto& h = shard.header;
-  h.config = file.read_text("/config");
-  h.identity = file.read_text("/identity");
-  h.provenance = file.read_text("/provenance");
-  h.garment_name = file.read_text("/garment/name");
-  try {
-    h.seed = std::stoull(file.read_text("/seed"));
-    h.garment_hash = std::stoull(file.read_text("/garment/hash"));
-  } catch (const std::logic_error&) {
-    refuse(path, "/seed or /garment/hash is no number");
-  }
-  h.control_names = words_of(file.read_text("/names/controls"));
-  h.state_names = words_of(file.read_text("/names/states"));
-  const auto sizes = file.read_int("/sizes", 5);
-  if (sizes.size() != 5) refuse(path, "/sizes must have 5 entries");
-  for (const auto size : sizes) {
-    if (size < 1 || size > 1000000) refuse(path, "/sizes holds " + std::to_string(size) + ", must be in [1, 1000000]");
-  }
-  h.vertices = sizes[0];
-  h.controls = sizes[1];
-  h.states = sizes[2];
-  h.hands = sizes[3];
-  h.shard_examples = sizes[4];
-  if (static_cast<Index>(h.control_names.size()) != h.controls ||
-      static_cast<Index>(h.state_names.size()) != h.states) {
-    refuse(path, "/names do not fit /sizes");
-  }
-  const auto fractions = file.read("/split_fractions", 2);
-  if (fractions.size() != 2 ||
-      !(fractions[0] >= 0 && fractions[0] <= 0.5 && fractions[1] >= 0 && fractions[1] <= 0.5)) {
-    refuse(path, "/split_fractions must be two numbers in [0, 0.5]");
-  }
-  h.validation_fraction = fractions[0];
-  h.test_fraction = fractions[1];
-
-  Columns c;
-  const auto expect = [&](const char* name, const std::vector<Index>& wanted) {
-    const auto got = file.shape(name);
-    if (got != wanted) {
-      std::string text;
-      for (const Index d : got) text += (text.empty() ? "" : ", ") + std::to_string(d);
-      refuse(path, std::string(name) + " has the shape [" + text + "], which does not fit the rest");
-    }
-  };
-  const auto count_shape = file.shape("/examples/index");
-  if (count_shape.size() != 1 || count_shape[0] < 1 || count_shape[0] > 1000000)
-    refuse(path, "/examples/index must have the shape [n]");
-  const Index n = count_shape[0];
-  const auto most = static_cast<std::size_t>(n) * 4;
-  const auto ints = [&](const char* name) {
-    expect(name, {n});
-    return file.read_int(name, most);
-  };
-  c.index = ints("/examples/index");
-  c.segments = ints("/examples/segments");
-  c.released = ints("/examples/released");
-  c.settled = ints("/examples/settled");
-  c.settle_frames = ints("/examples/settle_frames");
-  expect("/examples/settle_speed", {n});
-  c.settle_speed = file.read("/examples/settle_speed", most);
-  expect("/examples/max_grasp_strain", {n});
-  c.strain = file.read("/examples/max_grasp_strain", most);
-  expect("/examples/q", {n, 4});
-  c.q = file.read("/examples/q", most);
-  Index segments = 0, shapes = 0;
-  for (Index i = 0; i < n; ++i) {
-    const auto at = static_cast<std::size_t>(i);
-    if (c.index[at] < 0 || (i > 0 && c.index[at] <= c.index[at - 1]))
-      refuse(path, "/examples/index must ascend from 0 or more");
-    if (c.segments[at] < 0 || c.segments[at] > kMostSegments) refuse(path, "/examples/segments is out of range");
-    const std::string failure = "/failures/" + std::to_string(c.index[at]);
-    c.failures.push_back(file.has(failure) ? file.read_text(failure) : std::string());
-    if (c.failures.back().empty() == (c.segments[at] == 0)) {
-      refuse(path, "example " + std::to_string(c.index[at]) + " must have either segments or a failure");
-    }
-    segments += c.segments[at];
-    shapes += c.segments[at] == 0 ? 0 : c.segments[at] + 1;
-  }
-  expect("/controls", {segments, h.controls});
-  expect("/states", {shapes, h.states});
-  expect("/targets", {shapes, 3 * h.hands});
-  expect("/shapes", {shapes, h.vertices, 3});
-  c.controls = file.read("/controls");
-  c.states = file.read("/states");
-  c.targets = file.read("/targets");
-  c.shapes = file.read_float("/shapes");
-  const auto finite = [](const auto& v) {
-    return std::all_of(v.begin(), v.end(), [](auto x) { return std::isfinite(x); });
-  };
-  for (const auto* v : {&c.settle_speed, &c.strain, &c.q, &c.controls, &c.states, &c.targets}) {
-    if (!finite(*v)) refuse(path, "holds a number that is not finite");
-  }
-  if (!finite(c.shapes)) refuse(path, "/shapes holds a number that is not finite");
-  if (c.checksum() != file.read_text("/checksum"))
+  shard.header = read_header(file, path);
+  const Columns columns = read_columns(file, path, shard.header);
+  if (columns.checksum() != file.read_text("/checksum"))
     refuse(path, "is damaged: the content does not have the recorded checksum");
-
-  std::size_t segment = 0, shape = 0;
-  for (std::size_t i = 0; i < c.index.size(); ++i) {
-    Example e;
-    e.index = c.index[i];
-    e.released = c.released[i] != 0;
-    e.settle = {c.settle_frames[i], c.settle_speed[i], c.settled[i] != 0};
-    e.max_grasp_strain = c.strain[i];
-    for (Index p = 0; p < 4; ++p) e.q(p) = c.q[4 * i + static_cast<std::size_t>(p)];
-    e.failure = c.failures[i];
-    const auto k = static_cast<Index>(c.segments[i]);
-    const Index rows = k == 0 ? 0 : k + 1;
-    const auto block = [](const std::vector<double>& from, std::size_t row, Index count, Index columns) {
-      return Controls(
-          Eigen::Map<const Controls>(from.data() + row * static_cast<std::size_t>(columns), count, columns));
-    };
-    e.controls = block(c.controls, segment, k, h.controls);
-    e.states = block(c.states, shape, rows, h.states);
-    e.targets = block(c.targets, shape, rows, 3 * h.hands);
-    const auto width = static_cast<std::size_t>(h.vertices) * 3;
-    e.shapes.assign(c.shapes.begin() + static_cast<std::ptrdiff_t>(shape * width),
-                    c.shapes.begin() + static_cast<std::ptrdiff_t>((shape + static_cast<std::size_t>(rows)) * width));
-    segment += static_cast<std::size_t>(k);
-    shape += static_cast<std::size_t>(rows);
-    shard.examples.push_back(std::move(e));
-  }
+  shard.examples = to_examples(columns, shard.header);
   return shard;
 }
 

@@ -85,12 +85,10 @@ Example make_example(Simulator& simulator, const Task& task, const DataParams& p
   return example;
 }
 
-GenerateReport generate_dataset(const Task& task, const DataParams& params, const DatasetHeader& header,
-                                const GenerateOptions& options, Host& host, const GenerateProgress& progress) {
-  const auto started = std::chrono::steady_clock::now();
-  GenerateReport report;
-  fs::create_directories(options.folder);
-  // A run that was killed leaves its temporary file. Those of other parts may be in the making.
+namespace {
+
+/// A run that was killed leaves its temporary file. Those of other parts may be in the making.
+void remove_temporaries(const GenerateOptions& options) {
   for (const auto& entry : fs::directory_iterator(options.folder)) {
     long long number = 0;
     int used = 0;
@@ -99,67 +97,105 @@ GenerateReport generate_dataset(const Task& task, const DataParams& params, cons
         number % options.shard_count == options.shard_index)
       fs::remove(entry.path());
   }
-  const std::int64_t size = params.shard_examples;
-  std::vector<std::int64_t> missing;
+}
+
+/// The examples [first, end) of one file.
+struct ShardRange {
+  std::int64_t number = 0, first = 0, end = 0;
+  std::int64_t count() const { return end - first; }
+};
+
+/// Whether the file holds the examples of its range; they count as kept, then. One that is damaged is reported.
+/// @throws ConfigError when it belongs to another dataset.
+bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHeader& header, GenerateReport& report,
+                 bool& warned, Host& host) {
+  if (!fs::exists(file)) return false;
+  Shard shard;
+  try {
+    shard = read_shard(file);
+  } catch (const ConfigError& error) {
+    ++report.refused;
+    host.log(LogLevel::warning, std::string(error.what()) + "; it is made again");
+    return false;
+  } catch (const Error& error) {
+    throw ConfigError(error.what());
+  }
+  if (shard.header.identity != header.identity) {
+    throw ConfigError(file.string() + ": belongs to another dataset (identity " + shard.header.identity +
+                      ", this one is " + header.identity + "); choose another folder");
+  }
+  if (static_cast<std::int64_t>(shard.examples.size()) < range.count()) return false;
+  for (std::int64_t i = 0; i < range.count(); ++i) {
+    if (shard.examples[i].index != range.first + i) return false;
+  }
+  if (!warned && shard.header.provenance != header.provenance) {
+    host.log(LogLevel::warning,
+             file.string() + ": was made by another version of weft or its plugins; its examples are kept");
+    warned = true;
+  }
+  report.kept += range.count();
+  for (const auto& e : shard.examples) report.failed += e.failed();
+  return true;
+}
+
+/// The files of this part that are yet to be made.
+std::vector<ShardRange> missing_files(const DatasetHeader& header, std::int64_t size, const GenerateOptions& options,
+                                      GenerateReport& report, Host& host) {
+  std::vector<ShardRange> missing;
   bool warned = false;
   for (std::int64_t number = 0; number * size < options.examples; ++number) {
     if (number % options.shard_count != options.shard_index) continue;
     ++report.files;
-    const fs::path file = options.folder / shard_name(number);
-    const std::int64_t wanted = std::min(options.examples - number * size, size);
-    if (fs::exists(file)) {
-      try {
-        const Shard shard = read_shard(file);
-        if (shard.header.identity != header.identity) {
-          throw Error(file.string() + ": belongs to another dataset (identity " + shard.header.identity +
-                      ", this one is " + header.identity + "); choose another folder");
-        }
-        bool complete = static_cast<std::int64_t>(shard.examples.size()) >= wanted;
-        for (std::int64_t i = 0; complete && i < wanted; ++i) {
-          complete = shard.examples[static_cast<std::size_t>(i)].index == number * size + i;
-        }
-        if (complete) {
-          if (!warned && shard.header.provenance != header.provenance) {
-            host.log(LogLevel::warning,
-                     file.string() + ": was made by another version of weft or its plugins; its examples are kept");
-            warned = true;
-          }
-          report.kept += wanted;
-          for (const auto& e : shard.examples) report.failed += e.failed();
-          continue;
-        }
-      } catch (const ConfigError& error) {
-        ++report.refused;
-        host.log(LogLevel::warning, std::string(error.what()) + "; it is made again");
-      } catch (const Error& error) {
-        throw ConfigError(error.what());
+    const ShardRange range{number, number * size, std::min(options.examples, (number + 1) * size)};
+    if (!is_complete(options.folder / shard_name(number), range, header, report, warned, host))
+      missing.push_back(range);
+  }
+  return missing;
+}
+
+/// Simulators for the threads that make examples; one is made when all others are in use.
+class SimulatorPool {
+ public:
+  SimulatorPool(Host& host, const ConfigNode& slot) : host_(host), slot_(slot) {}
+  std::shared_ptr<Simulator> take() {
+    {
+      const std::lock_guard lock(mutex_);
+      if (!free_.empty()) {
+        auto simulator = std::move(free_.back());
+        free_.pop_back();
+        return simulator;
       }
     }
-    missing.push_back(number);
+    return host_.create<Simulator>(slot_);
   }
+  void give_back(std::shared_ptr<Simulator> simulator) {
+    const std::lock_guard lock(mutex_);
+    free_.push_back(std::move(simulator));
+  }
+
+ private:
+  Host& host_;
+  ConfigNode slot_;
+  std::mutex mutex_;
+  std::vector<std::shared_ptr<Simulator>> free_;
+};
+
+}  // namespace
+
+GenerateReport generate_dataset(const Task& task, const DataParams& params, const DatasetHeader& header,
+                                const GenerateOptions& options, Host& host, const GenerateProgress& progress) {
+  const auto started = std::chrono::steady_clock::now();
   const auto elapsed = [&] {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
   };
+  GenerateReport report;
+  fs::create_directories(options.folder);
+  remove_temporaries(options);
+  const auto missing = missing_files(header, params.shard_examples, options, report, host);
   std::int64_t total = 0;
-  for (const auto number : missing) total += std::min(options.examples - number * size, size);
+  for (const ShardRange& range : missing) total += range.count();
 
-  std::mutex pool_mutex;
-  std::vector<std::shared_ptr<Simulator>> pool;
-  const auto simulate = [&](std::int64_t index) {
-    std::shared_ptr<Simulator> simulator;
-    {
-      const std::lock_guard lock(pool_mutex);
-      if (!pool.empty()) {
-        simulator = pool.back();
-        pool.pop_back();
-      }
-    }
-    if (!simulator) simulator = host.create<Simulator>(task.simulator);
-    Example example = make_example(*simulator, task, params, header.seed, index);
-    const std::lock_guard lock(pool_mutex);
-    pool.push_back(std::move(simulator));
-    return example;
-  };
+  SimulatorPool pool(host, task.simulator);
   // Several files at a time when there are many threads, so that few of them wait for the last example of a file.
   const auto wave = static_cast<std::size_t>(std::max(1, host.threads() / 8));
   for (std::size_t at = 0; at < missing.size() && !report.cancelled; at += wave) {
@@ -167,20 +203,21 @@ GenerateReport generate_dataset(const Task& task, const DataParams& params, cons
     std::vector<Shard> shards(files);
     std::vector<std::pair<std::size_t, std::int64_t>> jobs;
     for (std::size_t f = 0; f < files; ++f) {
-      const std::int64_t first = missing[at + f] * size;
-      const std::int64_t count = std::min(options.examples - first, size);
+      const ShardRange& range = missing[at + f];
       shards[f].header = header;
-      shards[f].examples.resize(static_cast<std::size_t>(count));
-      for (std::int64_t i = 0; i < count; ++i) jobs.emplace_back(f, first + i);
+      shards[f].examples.resize(range.count());
+      for (std::int64_t i = range.first; i < range.end; ++i) jobs.emplace_back(f, i);
     }
     host.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
       if (host.cancelled()) return;
-      const auto [f, index] = jobs[static_cast<std::size_t>(j)];
-      shards[f].examples[static_cast<std::size_t>(index - missing[at + f] * size)] = simulate(index);
+      const auto [f, index] = jobs[j];
+      auto simulator = pool.take();
+      shards[f].examples[index - missing[at + f].first] = make_example(*simulator, task, params, header.seed, index);
+      pool.give_back(std::move(simulator));
     });
     report.cancelled = host.cancelled();
     for (std::size_t f = 0; f < files && !report.cancelled; ++f) {
-      write_shard(options.folder / shard_name(missing[at + f]), shards[f]);
+      write_shard(options.folder / shard_name(missing[at + f].number), shards[f]);
       report.made += static_cast<std::int64_t>(shards[f].examples.size());
       for (const auto& e : shards[f].examples) report.failed += e.failed();
       report.seconds = elapsed();

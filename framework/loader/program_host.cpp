@@ -29,8 +29,8 @@ class ThreadPool {
 
   void run(std::int64_t count, const std::function<void(std::int64_t)>& body) {
     Loop loop{count, &body};
-    // Nested or concurrent loops run on their caller: no deadlock, and the outer loop keeps the threads busy anyway.
-    // (inside_ comes first: a nested caller may hold busy_ itself.)
+    // Nested or concurrent loops run on their caller's thread. This avoids deadlock, and the outer loop already keeps
+    // the threads busy. (inside_ is checked first, since a nested caller may hold busy_ itself.)
     std::unique_lock<std::mutex> busy;
     if (!inside_ && !workers_.empty() && count > 1) busy = std::unique_lock(busy_, std::try_to_lock);
     if (!busy.owns_lock()) {
@@ -61,7 +61,7 @@ class ThreadPool {
     std::exception_ptr error;
   };
 
-  // Every iteration runs even after one failed, so that which error is reported does not depend on timing.
+  // Every iteration runs even after one failed, so that the reported error does not depend on timing.
   static void share(Loop& loop) {
     const bool was_inside = inside_;
     inside_ = true;

@@ -16,7 +16,7 @@ struct HostOptions {
   std::function<void(LogLevel, const std::string&)> log;  ///< null: silent
   const std::atomic<bool>* cancel = nullptr;              ///< set by a signal handler
 };
-/// The host that the program gives to its plugins. Must outlive them.
+/// The host for all plugins of the program. Must outlive them.
 std::unique_ptr<Host> make_host(std::shared_ptr<const PluginRegistry> registry, const HostOptions& options);
 
 }  // namespace weft

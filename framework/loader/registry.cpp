@@ -4,7 +4,6 @@
 #include <link.h>
 
 #include <algorithm>
-#include <boost/dll/runtime_symbol_info.hpp>
 #include <boost/dll/shared_library.hpp>
 #include <cstdlib>
 #include <cstring>
@@ -13,6 +12,7 @@
 #include <set>
 #include <sstream>
 
+#include "sdk/files.hpp"
 #include "weft/config.hpp"
 #include "weft/optimiser.hpp"
 #include "weft/plugin.hpp"
@@ -32,7 +32,7 @@ using VisitFunction = void(ParamVisitor*);
 
 constexpr const char* kKinds[] = {"simulator", "predictor", "trajectory", "optimiser"};
 
-/// "./x", "/x" and "x.so" are files, anything else is a name.
+/// "./x", "/x" and "x.so" are files; all others are names.
 bool is_file_name(const std::string& name) {
   return name.ends_with(".so") || name.starts_with("/") || name.starts_with("./") || name.starts_with("../");
 }
@@ -47,7 +47,7 @@ int interface_version(const std::string& kind) {
   return -1;
 }
 
-/// Size of an exported object in its library's symbol table; 0 when unknown.
+/// Size of an exported object in its library's symbol table; 0 if unknown.
 std::size_t exported_size(const void* address) {
   Dl_info info;
   void* symbol = nullptr;
@@ -55,7 +55,7 @@ std::size_t exported_size(const void* address) {
   return static_cast<const ElfW(Sym)*>(symbol)->st_size;
 }
 
-/// A library that passed every check that needs no C++ call.
+/// A library that passed all checks that need no C++ call.
 struct Library {
   PluginEntry entry;
   dll::shared_library handle;
@@ -90,7 +90,7 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
            std::to_string(sizeof(WeftPluginInfo)) + "; rebuild it with this weft's headers");
   }
   if (text_of(info.magic, sizeof(info.magic)) != "weftplu") {
-    refuse("weft_plugin_info does not start with the mark of weft; rebuild it with this weft's headers");
+    refuse("weft_plugin_info does not start with 'weftplu'; rebuild it with this weft's headers");
   }
   const std::string abi = text_of(info.abi_tag, sizeof(info.abi_tag));
   if (abi != WEFT_ABI_TAG) {
@@ -159,8 +159,8 @@ struct PluginRegistry::Impl {
       }
       return nullptr;
     };
-    // weft_add_plugin() names a library after its plugin. A library so named after another plugin is looked into only
-    // when nothing else fits, because loading one can be slow.
+    // weft_add_plugin() names a library after its plugin. A library with the name of another plugin is loaded only if
+    // no other library fits, because loading can be slow.
     std::vector<fs::path> named_after_others;
     for (const auto& folder : search_path) {
       for (const char* kind : kKinds) {
@@ -200,9 +200,7 @@ std::vector<fs::path> PluginRegistry::default_search_path() {
       if (!folder.empty()) folders.emplace_back(folder);
     }
   }
-  // Beside libweft.so: <lib>/weft/plugins, in the build tree and after installation alike.
-  const fs::path here = dll::this_line_location().string();
-  folders.push_back(here.parent_path() / "weft" / "plugins");
+  folders.push_back(library_folder() / "weft" / "plugins");
   return folders;
 }
 
@@ -232,14 +230,14 @@ PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::str
   const auto require_kind = [](const std::string& wanted) {
     const std::vector<std::string> kinds(std::begin(kKinds), std::end(kKinds));
     if (!wanted.empty() && std::find(kinds.begin(), kinds.end(), wanted) == kinds.end())
-      throw PluginError("'" + wanted + "' is no kind of plugin, must be " + one_of(kinds) +
+      throw PluginError("'" + wanted + "' is not a kind of plugin, must be " + one_of(kinds) +
                         nearest_hint(wanted, kinds));
   };
   require_kind(kind);
   if (is_file_name(name_or_file)) {
     const auto& entry = impl_->library(name_or_file)->entry;
     if (!kind.empty() && entry.kind != kind) {
-      throw PluginError(name_or_file + ": is a " + entry.kind + " plugin, wanted a " + kind);
+      throw PluginError(name_or_file + ": is a " + entry.kind + " plugin, must be a " + kind);
     }
     return entry;
   }
@@ -263,8 +261,8 @@ PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::str
 
 namespace {
 
-/// Calls into a library. What it throws is thrown again as an exception of the framework's own: one whose type lives in
-/// the library must not outlive the library.
+/// Calls into a library and rethrows its exceptions as exceptions of the framework. An exception whose type is defined
+/// in the library must not outlive the library.
 template <class Call>
 void guarded(const Library& library, const std::string& doing, Call&& call) {
   const std::string what = library.entry.file.string() + ": " + doing + " " + library.entry.name + " failed: ";
@@ -285,11 +283,11 @@ void guarded(const Library& library, const std::string& doing, Call&& call) {
   } catch (const std::exception& error) {
     throw PluginError(what + error.what());
   } catch (...) {
-    throw PluginError(what + "it threw something that is no std::exception");
+    throw PluginError(what + "it threw something that is not a std::exception");
   }
 }
 
-/// Runs a library's own declaration list through a visitor of ours.
+/// Passes our visitor to a library's parameter declarations.
 void visit_library(const Library& library, ParamVisitor& visitor) {
   guarded(library, "reading the parameters of",
           [&] { library.handle.get<VisitFunction>("weft_plugin_visit_params")(&visitor); });
@@ -339,7 +337,7 @@ ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& sl
     const std::lock_guard lock(impl_->mutex);
     impl_->used[entry.kind + "/" + entry.name] = entry;
   }
-  // The name rather than the file, unless a file was asked for: a saved config then runs on another machine.
+  // Keep the name rather than the file, unless the slot gives a file. A saved config then runs on another machine.
   return ConfigNode::mapping({{"plugin", ConfigNode::quoted(name)}, {"params", params}});
 }
 

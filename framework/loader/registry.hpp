@@ -10,16 +10,16 @@
 
 namespace weft {
 
-/// One library that was found on the search path: what it is, or why it was refused.
+/// One library on the search path: its kind, name and version, or why it was refused.
 struct PluginEntry {
   std::filesystem::path file;
   std::string kind, name, version;
   std::string refusal;  ///< empty: it loads
 };
 
-/// Finds plugins: `plugin_path` of the config, then WEFT_PLUGIN_PATH, then the build or install folder. The first
-/// library of a kind and name wins. Libraries stay loaded while an object of theirs, or this registry's own handle,
-/// lives. Thread-safe.
+/// Finds plugins in the `plugin_path` of the config, then in WEFT_PLUGIN_PATH, then in the build or install folder. The
+/// first library of a kind and name wins. A library stays loaded while one of its objects or this registry lives.
+/// Thread-safe.
 class PluginRegistry {
  public:
   explicit PluginRegistry(std::vector<std::filesystem::path> search_path = {});
@@ -28,20 +28,19 @@ class PluginRegistry {
 
   /// Everything on the search path, sorted by kind and name; refused libraries last.
   std::vector<PluginEntry> list() const;
-  /// The entry of a name ("arc" or "trajectory/arc") or of a library file. @throws PluginError naming the nearest one,
-  /// both sides of a refusal, and the remedy.
+  /// The entry of a name ("arc" or "trajectory/arc") or of a library file.
+  /// @throws PluginError with the nearest name, or with both sides of a refusal and the remedy.
   PluginEntry find(const std::string& name_or_file, const std::string& kind = "") const;
   std::vector<ParamInfo> params(const PluginEntry& entry) const;
 
-  /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default; nested slots too. Creates
-  /// nothing.
-  /// @throws ConfigError, PluginError.
+  /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default, also in nested slots. Creates no
+  /// plugin. @throws ConfigError, PluginError.
   ConfigNode resolve(const std::string& kind, const ConfigNode& slot) const;
-  /// A config with every slot that `params` declare resolved, wherever it stands; a slot that is null stays null.
+  /// A copy of the config in which every slot that `params` declares is resolved. A null slot stays null.
   ConfigNode resolve_slots(const ConfigNode& config, const std::vector<ParamInfo>& params) const;
-  /// The nodes of a config that name files, in declared order: its own, then those of the plugins in its slots.
+  /// The nodes of a config that name files, in declared order: first its own, then those of the plugins in its slots.
   std::vector<ConfigNode> files(const ConfigNode& config, const std::vector<ParamInfo>& params) const;
-  /// The same of a slot: {plugin: NAME, params: {...}}, or a bare NAME.
+  /// The same for a slot: {plugin: NAME, params: {...}}, or a bare NAME.
   std::vector<ConfigNode> files(const std::string& kind, const ConfigNode& slot) const;
   /// The object's deleter keeps the library loaded.
   std::shared_ptr<void> create(const std::string& kind, const ConfigNode& slot, Host& host) const;
@@ -50,7 +49,7 @@ class PluginRegistry {
 
  private:
   struct Impl;
-  /// A slot's name, as a saved config holds it, and the entry that it leads to. @throws as resolve().
+  /// The plugin's name as saved configs write it, and its entry. @throws as resolve().
   std::pair<std::string, PluginEntry> look_up(const std::string& kind, const ConfigNode& slot) const;
   std::unique_ptr<Impl> impl_;
 };

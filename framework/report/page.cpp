@@ -1,15 +1,13 @@
 #include "report/page.hpp"
 
-#include <zlib.h>
-
 #include <algorithm>
-#include <boost/dll/runtime_symbol_info.hpp>
 #include <cmath>
-#include <cstring>
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
 
+#include "report/page_data.hpp"
+#include "sdk/files.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/simulator.hpp"
 
@@ -19,106 +17,7 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
-// What the template holds where data goes; apps/report/build.mjs writes the same.
-constexpr const char* kPlaceholder = "<!--weft-data-->";
-// Finest step of quantised positions, m. A step of 0.05 mm is far below what a page can show, and compresses well.
-constexpr double kStep = 5e-5;
 constexpr double kCoarseStep = 2e-4;  // where nothing is measured on the shape, and there are hundreds
-
-std::string base64(const std::string& bytes) {
-  static constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  text.reserve((bytes.size() + 2) / 3 * 4);
-  for (std::size_t i = 0; i < bytes.size(); i += 3) {
-    std::uint32_t word = 0;
-    const std::size_t count = std::min<std::size_t>(3, bytes.size() - i);
-    for (std::size_t k = 0; k < 3; ++k) word = word << 8 | (k < count ? static_cast<unsigned char>(bytes[i + k]) : 0u);
-    for (std::size_t k = 0; k < 4; ++k) text += k <= count ? kDigits[word >> (18 - 6 * k) & 63] : '=';
-  }
-  return text;
-}
-
-/// The data of a page: a JSON text, and arrays that it names by {array, type, shape, step}. An array is stored as its
-/// elements' bytes by significance (all lowest bytes, then all second bytes, ...), deflated, in base64. Rows of int16
-/// and int32 arrays after the first are differences to the row before, modulo 2^16 or 2^32.
-class PageData {
- public:
-  ordered_json json = {{"schema", "weft report 1"}};
-
-  /// [rows.size(), V, 3], as int16 multiples of `finest` or, where coordinates are large, of more.
-  ordered_json shapes(const std::vector<Positions>& rows, double finest = kStep) {
-    double largest = 0.0;
-    for (const auto& row : rows) largest = std::max(largest, row.size() > 0 ? row.cwiseAbs().maxCoeff() : 0.0);
-    const double step = std::max(finest, largest / 32767.0);
-    std::vector<std::uint16_t> values, before;
-    for (const auto& row : rows) {
-      std::vector<std::uint16_t> now(static_cast<std::size_t>(row.size()));
-      for (std::size_t i = 0; i < now.size(); ++i) {
-        now[i] = static_cast<std::uint16_t>(static_cast<std::int16_t>(std::lround(row.data()[i] / step)));
-      }
-      append_difference(values, now, before);
-      before = std::move(now);
-    }
-    const Index vertices = rows.empty() ? 0 : rows.front().rows();
-    return store("i16", {static_cast<Index>(rows.size()), vertices, 3}, values, step);
-  }
-  ordered_json faces(const Faces& faces) {
-    std::vector<std::uint32_t> values, before;
-    for (Index f = 0; f < faces.rows(); ++f) {
-      std::vector<std::uint32_t> now(faces.row(f).begin(), faces.row(f).end());
-      append_difference(values, now, before);
-      before = std::move(now);
-    }
-    return store("i32", {faces.rows(), 3}, values, 1.0);
-  }
-  ordered_json matrix(const Controls& matrix) {
-    std::vector<std::uint32_t> values(static_cast<std::size_t>(matrix.size()));
-    const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> single = matrix.cast<float>();
-    if (!values.empty()) std::memcpy(values.data(), single.data(), values.size() * sizeof(float));
-    return store("f32", {matrix.rows(), matrix.cols()}, values, 1.0);
-  }
-
-  /// The template with the data in its place.
-  std::string fill(const std::string& page_template) const {
-    const auto place = page_template.find(kPlaceholder);
-    if (place == std::string::npos)
-      throw ConfigError("report template: has no place for data; it is no template of weft");
-    std::string text = json.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
-    for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos;) text.replace(at, 1, "\\u003c");
-    std::string data = "<script type=\"application/json\" id=\"weft-data\">" + text + "</script>\n";
-    for (std::size_t i = 0; i < arrays_.size(); ++i) {
-      data += "<script type=\"text/plain\" id=\"weft-array-" + std::to_string(i) + "\">" + arrays_[i] + "</script>\n";
-    }
-    std::string page = page_template;
-    return page.replace(place, std::strlen(kPlaceholder), data);
-  }
-
- private:
-  template <class Word>
-  static void append_difference(std::vector<Word>& values, const std::vector<Word>& now,
-                                const std::vector<Word>& before) {
-    for (std::size_t i = 0; i < now.size(); ++i)
-      values.push_back(static_cast<Word>(now[i] - (before.empty() ? 0 : before[i])));
-  }
-  template <class Word>
-  ordered_json store(const char* type, const std::vector<Index>& shape, const std::vector<Word>& values, double step) {
-    std::string planes;
-    planes.reserve(values.size() * sizeof(Word));
-    for (std::size_t byte = 0; byte < sizeof(Word); ++byte) {
-      for (const Word value : values) planes += static_cast<char>(value >> (8 * byte) & 0xff);
-    }
-    uLongf size = compressBound(planes.size());
-    std::string packed(size, '\0');
-    if (compress2(reinterpret_cast<Bytef*>(packed.data()), &size, reinterpret_cast<const Bytef*>(planes.data()),
-                  planes.size(), 9) != Z_OK) {
-      throw Error("report: an array cannot be compressed");
-    }
-    packed.resize(size);
-    arrays_.push_back(base64(packed));
-    return {{"array", arrays_.size() - 1}, {"type", type}, {"shape", shape}, {"step", step}};
-  }
-  std::vector<std::string> arrays_;
-};
 
 ordered_json list(const auto& values) { return std::vector<double>(values.data(), values.data() + values.size()); }
 
@@ -235,31 +134,13 @@ void add_cases(PageData& page, const fs::path& path) {
 
 }  // namespace
 
-Hdf5File create_cases_file(const fs::path& path, const Garment& garment) {
-  auto file = Hdf5File::create(path);
-  file.write("/garment/name", garment.name);
-  file.write("/garment/rest", garment.rest);
-  const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = garment.faces.cast<std::int64_t>();
-  file.write("/garment/faces", faces);
-  return file;
-}
-
-void write_shapes(Hdf5File& file, const std::string& path, const std::vector<Positions>& shapes) {
-  const Index vertices = shapes.empty() ? 0 : shapes.front().rows();
-  std::vector<float> values;
-  for (const auto& shape : shapes) {
-    for (Index i = 0; i < shape.size(); ++i) values.push_back(static_cast<float>(shape.data()[i]));
-  }
-  file.write(path, {static_cast<Index>(shapes.size()), vertices, 3}, values.data());
-}
-
 ReportTemplate find_report_template() {
   if (const char* given = std::getenv("WEFT_REPORT_TEMPLATE")) {
     if (fs::is_regular_file(given)) return {read_text(given), ""};
     return {"", std::string("WEFT_REPORT_TEMPLATE names ") + given + ", which is no file"};
   }
   // <prefix>/share/weft/report, seen from <prefix>/lib or <prefix>/lib/<multiarch>.
-  fs::path folder = fs::path(boost::dll::this_line_location().string()).parent_path();
+  fs::path folder = library_folder();
   for (int level = 0; level < 3 && folder.has_relative_path(); ++level) {
     folder = folder.parent_path();
     const fs::path share = folder / "share" / "weft" / "report";

@@ -1,11 +1,8 @@
 #pragma once
 #include <filesystem>
 #include <string>
-#include <vector>
 
 #include "session/session_file.hpp"
-#include "weft/garment.hpp"
-#include "weft/hdf5_file.hpp"
 
 /// The page that shows results: one self-contained HTML file. The template is built from apps/report when node is there
 /// (docs/report.md); this fills in a result's data.
@@ -24,11 +21,6 @@ std::string session_page(const std::string& page_template, const SessionRecord& 
 /// prediction.json, physics.json, ablation.json, provenance.json, config.yaml and cases.h5 lie in the folder.
 /// @throws ConfigError.
 std::string experiment_page(const std::string& page_template, const std::filesystem::path& folder);
-
-/// cases.h5: shapes of an experiment's cases for the page (docs/report.md), with its garment in it. Not committed yet.
-Hdf5File create_cases_file(const std::filesystem::path& file, const Garment& garment);
-/// All of one size, as [n, V, 3] in single precision.
-void write_shapes(Hdf5File& file, const std::string& path, const std::vector<Positions>& shapes);
 
 /// Writes folder/report.html from the results in the folder (session.h5, or those of experiment_page).
 /// @return why no page was written; empty if one was. @throws ConfigError for damaged results.

@@ -13,9 +13,9 @@ namespace weft {
 
 namespace {
 
-/// Where the threads of one minimise_pointwise() meet. An instance is `working` (its solver computes), `asking`
-/// (blocked in evaluate()) or `gone`. The caller's thread waits until nobody works, evaluates what was asked, and
-/// answers.
+/// Synchronises the threads of one minimise_pointwise(). An instance is `working` (its solver computes), `asking`
+/// (blocked in evaluate()) or `gone`. The caller's thread waits until no instance works, evaluates the requested points
+/// and answers.
 class Meeting {
  public:
   class Instance final : public PointwiseSearch {
@@ -35,7 +35,7 @@ class Meeting {
         value_.residuals = Vector::Zero(request.residuals ? meeting_.residuals_ : 0);
         value_.jacobian = Matrix::Zero(request.jacobians ? meeting_.residuals_ : 0, x.size());
         last_was_finite_ = false;
-        // Not an evaluation, but a solver that asks for nothing else must end, too.
+        // This is not an evaluation, but a solver that only asks for such points must end too.
         if (++refused_ > kMostRefused) end(OptimiserStatus::diverged, "the solver asks for points that are not finite");
         return over_ ? nullptr : &value_;
       }
@@ -60,7 +60,7 @@ class Meeting {
     static constexpr Index kMostRefused = 1000;
     enum class State { working, asking, gone };
 
-    /// The first reason stays.
+    /// Keeps the first reason.
     void end(OptimiserStatus status, std::string message) {
       if (over_) return;
       over_ = true;
@@ -81,7 +81,7 @@ class Meeting {
         value_.finite = value_.finite && value_.residuals.allFinite();
       }
       if (request_.jacobians) {
-        value_.jacobian = e.jacobians[static_cast<std::size_t>(column)];
+        value_.jacobian = e.jacobians[column];
         value_.finite = value_.finite && value_.jacobian.allFinite();
       }
       last_was_finite_ = value_.finite;
@@ -97,7 +97,8 @@ class Meeting {
     bool over_ = false;
     bool last_was_finite_ = false;
     Index refused_ = 0;
-    // Written by this instance's thread before it asks, read by the caller's, and the other way round for value_.
+    // The instance's thread writes x_ and request_ before it asks, and the caller's thread reads them. For value_ it is
+    // the other way round.
     Vector x_;
     EvaluationRequest request_;
     PointValue value_;
@@ -161,7 +162,7 @@ class Meeting {
   }
 
  private:
-  /// The life of an instance's thread. Nothing leaves it but through the instance.
+  /// Runs on an instance's thread. Results and exceptions leave it through the instance only.
   void solve(Instance& one, const PointwiseSolver& solver) {
     try {
       SolverOutcome outcome = solver(one, one.result_.x);
@@ -182,7 +183,7 @@ class Meeting {
     one.answered_.wait(lock, [&] { return one.state_ == Instance::State::working; });
   }
 
-  /// @return those that ask, ascending.
+  /// @return the instances that ask, ascending.
   std::vector<Instance*> wait_until_nobody_works() {
     std::unique_lock lock(mutex_);
     nobody_works_.wait(lock, [&] { return working_ == 0; });
@@ -208,7 +209,7 @@ class Meeting {
   }
 
   Vector best_costs() const {
-    Vector costs(static_cast<Index>(instances_.size()));
+    Vector costs(instances_.size());
     for (const auto& one : instances_) costs[one->number_] = one->result_.cost;
     return costs;
   }
@@ -225,10 +226,10 @@ class Meeting {
         group.push_back(one);
         numbers.push_back(one->number_);
       }
-      const auto n = static_cast<Index>(group.size());
+      const Index n = group.size();
       const Index dim = bounds_.dim();
       Matrix x(dim, n);
-      for (Index j = 0; j < n; ++j) x.col(j) = group[static_cast<std::size_t>(j)]->x_;
+      for (Index j = 0; j < n; ++j) x.col(j) = group[j]->x_;
       const Evaluation e = objective_.evaluate(x, numbers, kind);
       require_shape("batching: costs of the objective", e.costs.size(), n);
       if (kind.gradients) {
@@ -240,13 +241,13 @@ class Meeting {
         require_shape("batching: columns of the objective's residuals", e.residuals.cols(), n);
       }
       if (kind.jacobians) {
-        require_shape("batching: the objective's Jacobians", static_cast<Index>(e.jacobians.size()), n);
+        require_shape("batching: the objective's Jacobians", e.jacobians.size(), n);
         for (const auto& jacobian : e.jacobians) {
           require_shape("batching: rows of a Jacobian", jacobian.rows(), residuals_);
           require_shape("batching: columns of a Jacobian", jacobian.cols(), dim);
         }
       }
-      for (Index j = 0; j < n; ++j) group[static_cast<std::size_t>(j)]->take(e, j);
+      for (Index j = 0; j < n; ++j) group[j]->take(e, j);
     }
   }
 

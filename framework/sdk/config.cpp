@@ -17,7 +17,7 @@ namespace weft {
 struct ConfigNode::Data {
   Kind kind = Kind::null;
   std::string text;        // of a scalar
-  bool is_quoted = false;  // a scalar that is a string whatever it looks like
+  bool is_quoted = false;  // a scalar that is a string even if it looks like a number
   std::vector<std::pair<std::string, ConfigNode>> entries;
   std::vector<ConfigNode> items;
   std::string file;  // for messages; empty: made by the program
@@ -49,7 +49,7 @@ std::string join(const std::string& path, std::string_view key) {
 struct Source {
   std::string name;
   fs::path folder;
-  bool has_lines = true;  // false: one line on the command line, where a number says nothing
+  bool has_lines = true;  // false: from the command line, so messages give no line number
   std::size_t nodes = 0;
 
   int line(const YAML::Mark& mark) const { return has_lines && mark.line >= 0 ? mark.line + 1 : 0; }
@@ -84,7 +84,7 @@ int line_that_is_not_utf8(std::string_view text) {
   return 0;
 }
 
-/// @param line where messages about this node point to: of its key, since an alias stands where its anchor is.
+/// @param line of the node's key, for messages. The node of an alias would have the line of its anchor.
 ConfigNode convert(const YAML::Node& node, Source& source, const std::string& path, int line, int depth) {
   const auto fail = [&](const std::string& message) {
     fail_at(source.name, line, path.empty() ? message : path + " " + message);
@@ -92,7 +92,7 @@ ConfigNode convert(const YAML::Node& node, Source& source, const std::string& pa
   if (depth > kMaxDepth) fail_at(source.name, line, "nested deeper than " + std::to_string(kMaxDepth) + " levels");
   if (++source.nodes > kMaxNodes) {
     fail_at(source.name, line,
-            "holds more than " + std::to_string(kMaxNodes) + " values (aliases counted as often as used)");
+            "holds more than " + std::to_string(kMaxNodes) + " values (an alias counts each time it is used)");
   }
   ConfigNode::Kind kind = ConfigNode::Kind::null;
   std::string text;
@@ -139,7 +139,7 @@ ConfigNode parse_text(std::string_view text, Source& source) {
   }
 }
 
-// What stands before a message about a file: the `extends` that names it, if any.
+// Reports a problem with a file, at the `extends` that names the file if there is one.
 using Asker = std::optional<ConfigNode>;
 [[noreturn]] void fail_file(const fs::path& file, const Asker& asker, const std::string& message) {
   const std::string text = file.string() + ": " + message;
@@ -156,12 +156,12 @@ std::string read_text(const fs::path& file, const Asker& asker) {
   std::string text;
   char block[1 << 16];
   while (stream.read(block, sizeof(block)) || stream.gcount() > 0) {
-    text.append(block, static_cast<std::size_t>(stream.gcount()));
+    text.append(block, stream.gcount());
     if (static_cast<std::streamsize>(text.size()) > kMaxBytes) {
       fail_file(file, asker, "is larger than " + std::to_string(kMaxBytes / 1'000'000) + " MB, must be a YAML file");
     }
   }
-  if (stream.bad()) fail_file(file, asker, "cannot be read to its end");
+  if (stream.bad()) fail_file(file, asker, "cannot be read completely");
   return text;
 }
 
@@ -184,7 +184,7 @@ ConfigNode load_file(const fs::path& file, std::vector<fs::path>& chain, const A
   return parent.merged(node.without("extends"));
 }
 
-// The same subtree with every path re-based, after it moved in the tree.
+// The same subtree with new paths, after it moved in the tree.
 ConfigNode repath(const ConfigNode& node, const std::string& path) {
   const auto& data = Access::data(node);
   auto copy = data;
@@ -209,7 +209,7 @@ const char* kind_name(ConfigNode::Kind kind) {
   return "";
 }
 
-// The number that a text is: decimal, with an optional sign and exponent, or .inf; not "inf", "nan" or hexadecimal.
+// The number in a text: decimal, with an optional sign and exponent, or .inf; not "inf", "nan" or hexadecimal.
 std::optional<double> number_of(std::string_view text) {
   const bool negative = text.starts_with('-');
   std::string_view digits = text;
@@ -226,7 +226,7 @@ std::optional<double> number_of(std::string_view text) {
 
 bool is_nan_text(std::string_view text) { return text == ".nan" || text == ".NaN" || text == ".NAN"; }
 
-// What YAML reads back as the same text without quotes, leaving numbers and booleans aside.
+// Whether YAML reads the text back unchanged without quotes. Ignores numbers and booleans.
 bool reads_as_plain_string(const std::string& text) {
   if (text.empty() || text == "~" || text == "null" || text == "Null" || text == "NULL") return false;
   if (text.front() == ' ' || text.back() == ' ' || text.front() == '-' || text.front() == '?' ||
@@ -275,7 +275,7 @@ void write_value(const ConfigNode& value, std::ostream& out, int indent) {
 
 void write_yaml(const ConfigNode& node, std::ostream& out, int indent, bool inline_allowed) {
   const auto& data = Access::data(node);
-  const std::string pad(static_cast<std::size_t>(indent), ' ');
+  const std::string pad(indent, ' ');
   switch (data.kind) {
     case ConfigNode::Kind::null:
       out << "null";
@@ -357,8 +357,8 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
   return row.back();
 }
 
-// What a file is and who reads it, by a key that its reader does not know. Experiments extend tasks, so they come
-// first. A key given on the command line has no line and says nothing about the file.
+// For an unknown key: the kind of file that has this key, and the command that reads it. Experiments extend tasks, so
+// they come first. Keys from the command line have no line; they do not describe the file.
 std::string other_kind(const ConfigNode& file, const std::vector<std::string>& known) {
   constexpr const char* kKinds[][2] = {
       {"factors", "an ablation, which `weft ablate` reads"},
@@ -528,7 +528,7 @@ ConfigNode ConfigNode::merged(const ConfigNode& over) const {
   copy.file = over.data_->file;
   copy.line = over.data_->line;
   copy.folder = over.data_->folder;
-  // A changed plugin takes none of the old one's parameters along.
+  // If the plugin changes, the parameters of the old plugin are dropped.
   const auto plugin = over.find("plugin");
   if (plugin && has("plugin") && at("plugin").data_->text != plugin->data_->text) return repath(over, path());
   for (const auto& [key, value] : over.data_->entries) {
@@ -595,7 +595,7 @@ ConfigNode place(const ConfigNode& config, std::string_view dotted_path) {
   }
   if (next) return dot == std::string_view::npos ? *next : place(*next, dotted_path.substr(dot + 1));
   const auto& data = Access::data(config);
-  // The first line of a file says nothing about a key that is not in it.
+  // For a key that is missing at the top level, the first line of the file would be misleading.
   return Access::make({.file = data.file,
                        .line = data.path.empty() ? 0 : data.line,
                        .folder = data.folder,
@@ -639,8 +639,7 @@ std::string one_of(const std::vector<std::string>& allowed) {
 
 namespace {
 
-// `path.plugin` = name: drops the old plugin's params, exactly as an extending file would, and turns a bare plugin name
-// into a slot.
+// `path.plugin` = name: drops the old plugin's params, as an extending file does. Turns a bare plugin name into a slot.
 ConfigNode with_plugin(const ConfigNode& slot, const ConfigNode& name) {
   const auto plugin = ConfigNode::mapping({{"plugin", name}});
   return slot.is_mapping() ? slot.merged(plugin) : plugin;
@@ -656,7 +655,7 @@ ConfigNode apply_override(const ConfigNode& config, const std::string& assignmen
   const std::string path = assignment.substr(0, equals);
   const std::string text = assignment.substr(equals + 1);
   Source named{"--set " + path, ".", false};
-  parse_text(text, named);             // what is no YAML has no key of its own to be called by
+  parse_text(text, named);             // a syntax error does not name a key, so its message shows the path
   Source source{"--set", ".", false};  // later errors name the key themselves
   const ConfigNode value = parse_text(text, source);
   const auto last = path.rfind('.');

@@ -19,7 +19,7 @@ std::string join(const std::vector<std::string>& words) {
 
 Split split_named(const std::string& name) {
   const auto found = std::find(kSplitNames.begin(), kSplitNames.end(), name);
-  if (found == kSplitNames.end()) throw ConfigError("'" + name + "' is none of train, validation, test");
+  if (found == kSplitNames.end()) throw ConfigError("'" + name + "' must be one of train, validation, test");
   return static_cast<Split>(found - kSplitNames.begin());
 }
 
@@ -59,7 +59,7 @@ Positions Dataset::shape(std::size_t example, Index segment) const {
 void Dataset::require_task(const Task& task) const {
   const auto fail = [&](const std::string& what) { throw ConfigError("dataset " + header.identity + ": " + what); };
   if (header.garment_hash != task.garment->hash) {
-    fail("was made with the garment '" + header.garment_name + "' (hash " + std::to_string(header.garment_hash) +
+    fail("belongs to the garment '" + header.garment_name + "' (hash " + std::to_string(header.garment_hash) +
          "), the task has '" + task.garment->name + "' (hash " + std::to_string(task.garment->hash) + ")");
   }
   const auto names = [](const std::vector<Variable>& variables) {
@@ -69,7 +69,7 @@ void Dataset::require_task(const Task& task) const {
   };
   if (header.control_names != names(task.trajectory->controls()) ||
       header.state_names != names(task.trajectory->state())) {
-    fail("was made with another trajectory: controls " + join(header.control_names) + ", the task has " +
+    fail("belongs to another trajectory: controls " + join(header.control_names) + ", the task has " +
          join(names(task.trajectory->controls())));
   }
   for (const auto& e : examples) {
@@ -79,7 +79,7 @@ void Dataset::require_task(const Task& task) const {
     const Eigen::Map<const Vector> flat_targets(targets.data(), targets.size());
     if (flat_targets.size() != e.targets.cols() || !e.states.row(0).transpose().isApprox(start, 1e-9) ||
         !e.targets.row(0).transpose().isApprox(flat_targets, 1e-9)) {
-      fail("was made with another manipulation: grasp points or displacement differ from the task's");
+      fail("belongs to another manipulation: grasp points or displacement differ from the task's");
     }
     break;
   }

@@ -2,7 +2,7 @@
 
 namespace weft {
 
-// Out of line, so that each class has one home for its type information.
+// Out of line, so that the type information of each class is in this library only.
 Error::~Error() = default;
 ShapeError::~ShapeError() = default;
 ConfigError::~ConfigError() = default;

@@ -1,5 +1,7 @@
 #include "sdk/files.hpp"
 
+#include <dlfcn.h>
+
 #include <cerrno>
 #include <cstdint>
 #include <cstdio>
@@ -39,9 +41,16 @@ void WholeFile::fail(const std::string& reason) const {
   throw Error(file_.string() + ": cannot be written: " + reason);
 }
 
+std::filesystem::path library_folder() {
+  Dl_info self{};
+  if (dladdr(reinterpret_cast<const void*>(&library_folder), &self) == 0 || self.dli_fname == nullptr)
+    throw Error("libweft.so: the folder that it was loaded from is not known");
+  return std::filesystem::absolute(self.dli_fname).parent_path();
+}
+
 void write_text(const std::filesystem::path& file, std::string_view text) {
   WholeFile whole(file);
-  errno = 0;  // a stream does not say why it failed; the call below it does
+  errno = 0;  // a stream does not report why it failed; errno does
   std::ofstream stream(whole.temporary(), std::ios::binary);
   stream.write(text.data(), static_cast<std::streamsize>(text.size()));
   stream.close();

@@ -27,6 +27,10 @@ class WEFT_API WholeFile {
   std::filesystem::path file_, temporary_;
 };
 
+/// The folder that libweft.so was loaded from: <prefix>/lib or <prefix>/lib/<multiarch>, in the build tree and after
+/// installation alike. Plugins, the page and the configs are found from there.
+WEFT_API std::filesystem::path library_folder();
+
 /// Writes a file with this text, whole or not at all. @throws Error naming the file and the reason.
 WEFT_API void write_text(const std::filesystem::path& file, std::string_view text);
 

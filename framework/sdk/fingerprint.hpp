@@ -6,13 +6,26 @@
 
 namespace weft {
 
-/// 64-bit FNV-1a over bytes, with a final mix: finds damage and tells configurations apart; no defence against forgery.
+/// 64-bit FNV-1a over bytes. @param hash of the bytes before them.
+inline std::uint64_t fnv1a(const void* data, std::size_t size, std::uint64_t hash = 0xcbf29ce484222325ull) {
+  const auto* bytes = static_cast<const unsigned char*>(data);
+  for (std::size_t i = 0; i < size; ++i) hash = (hash ^ bytes[i]) * 0x100000001b3ull;
+  return hash;
+}
+inline std::uint64_t fnv1a(std::string_view text) { return fnv1a(text.data(), text.size()); }
+
+/// 16 hexadecimal digits.
+inline std::string hex_digits(std::uint64_t value) {
+  static constexpr char kDigits[] = "0123456789abcdef";
+  std::string text(16, '0');
+  for (std::size_t i = 16; i-- > 0; value >>= 4) text[i] = kDigits[value & 15];
+  return text;
+}
+
+/// 64-bit FNV-1a over bytes, with a final mix. Detects damage and tells configurations apart. Does not resist forgery.
 class Fingerprint {
  public:
-  void add(const void* data, std::size_t size) {
-    const auto* bytes = static_cast<const unsigned char*>(data);
-    for (std::size_t i = 0; i < size; ++i) hash_ = (hash_ ^ bytes[i]) * 0x100000001b3ull;
-  }
+  void add(const void* data, std::size_t size) { hash_ = fnv1a(data, size, hash_); }
   void add(std::string_view text) {
     const std::uint64_t size = text.size();
     add(&size, sizeof(size));
@@ -39,13 +52,7 @@ class Fingerprint {
     z = (z ^ (z >> 27)) * 0x94D049BB133111EBull;
     return z ^ (z >> 31);
   }
-  std::string hex() const {
-    static constexpr char kDigits[] = "0123456789abcdef";
-    std::string text(16, '0');
-    std::uint64_t v = value();
-    for (std::size_t i = 16; i-- > 0; v >>= 4) text[i] = kDigits[v & 15];
-    return text;
-  }
+  std::string hex() const { return hex_digits(value()); }
 
  private:
   std::uint64_t hash_ = 0xcbf29ce484222325ull;

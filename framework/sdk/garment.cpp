@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "weft/config.hpp"
+#include "weft/hash.hpp"
 
 namespace weft {
 namespace {
@@ -26,7 +27,7 @@ struct Side {
 
 std::vector<Side> sides_of(const Faces& faces) {
   std::vector<Side> sides;
-  sides.reserve(static_cast<std::size_t>(faces.rows()) * 3);
+  sides.reserve(faces.rows() * 3);
   for (Index f = 0; f < faces.rows(); ++f) {
     for (Index k = 0; k < 3; ++k) {
       const int a = faces(f, k);
@@ -44,7 +45,7 @@ void check_indices(const Mesh& mesh, const std::string& where) {
   const Index count = mesh.positions.rows();
   if (count == 0) throw ConfigError(where + "no vertices");
   if (mesh.faces.rows() == 0) throw ConfigError(where + "no faces");
-  std::vector<bool> used(static_cast<std::size_t>(count), false);
+  std::vector<bool> used(count, false);
   for (Index f = 0; f < mesh.faces.rows(); ++f) {
     for (Index k = 0; k < 3; ++k) {
       const int v = mesh.faces(f, k);
@@ -52,14 +53,14 @@ void check_indices(const Mesh& mesh, const std::string& where) {
         throw ConfigError(where + face_text(f) + " names vertex " + std::to_string(v) + ", must be in [0, " +
                           std::to_string(count - 1) + "]");
       }
-      used[static_cast<std::size_t>(v)] = true;
+      used[v] = true;
       if (v == mesh.faces(f, (k + 1) % 3)) {
         throw ConfigError(where + face_text(f) + " is degenerate: it names " + vertex_text(v) + " twice");
       }
     }
   }
   for (Index v = 0; v < count; ++v) {
-    if (!used[static_cast<std::size_t>(v)]) throw ConfigError(where + vertex_text(v) + " is in no face");
+    if (!used[v]) throw ConfigError(where + vertex_text(v) + " is in no face");
   }
 }
 
@@ -74,7 +75,7 @@ void check_finite(const Mesh& mesh, const std::string& where) {
       throw ConfigError(where + vertex_text(v) + " has a rest position that is not finite");
     }
   }
-  // Far beyond any cloth; keeps areas and squares of lengths away from overflow and total cancellation.
+  // Far larger than any cloth. The limit protects areas and squared lengths from overflow and cancellation.
   constexpr double kLargest = 1e6;
   for (Index v = 0; v < mesh.positions.rows(); ++v) {
     const double largest = std::max(mesh.positions.row(v).cwiseAbs().maxCoeff(),
@@ -111,14 +112,14 @@ void check_manifold(const Mesh& mesh, const std::string& where) {
     i = end;
   }
 
-  // A vertex is manifold when its faces form one fan: joining faces that share an edge at the vertex leaves one group.
+  // A vertex is manifold if its faces form one fan: joining the faces that share an edge at the vertex gives one group.
   // Corner c of face f is node 3 f + c of a union-find forest.
-  std::vector<Index> parent(static_cast<std::size_t>(mesh.faces.rows()) * 3);
-  for (std::size_t i = 0; i < parent.size(); ++i) parent[i] = static_cast<Index>(i);
+  std::vector<Index> parent(mesh.faces.rows() * 3);
+  for (std::size_t i = 0; i < parent.size(); ++i) parent[i] = i;
   const auto root = [&parent](Index i) {
-    while (parent[static_cast<std::size_t>(i)] != i) {
-      parent[static_cast<std::size_t>(i)] = parent[static_cast<std::size_t>(parent[static_cast<std::size_t>(i)])];
-      i = parent[static_cast<std::size_t>(i)];
+    while (parent[i] != i) {
+      parent[i] = parent[parent[i]];
+      i = parent[i];
     }
     return i;
   };
@@ -132,15 +133,15 @@ void check_manifold(const Mesh& mesh, const std::string& where) {
     for (const int v : {sides[i].first, sides[i].second}) {
       const Index a = root(corner(sides[i].face, v));
       const Index b = root(corner(sides[i + 1].face, v));
-      parent[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
+      parent[std::max(a, b)] = std::min(a, b);
     }
   }
-  std::vector<Index> fan(static_cast<std::size_t>(mesh.positions.rows()), -1);
+  std::vector<Index> fan(mesh.positions.rows(), -1);
   for (Index f = 0; f < mesh.faces.rows(); ++f) {
     for (Index k = 0; k < 3; ++k) {
       const int v = mesh.faces(f, k);
       const Index r = root(3 * f + k);
-      Index& known = fan[static_cast<std::size_t>(v)];
+      Index& known = fan[v];
       if (known < 0) known = r;
       if (known != r) {
         throw ConfigError(where + vertex_text(v) + " is non-manifold: " + face_text(known / 3) + " and " +
@@ -198,21 +199,8 @@ void check_shape(const Mesh& mesh, const RestPositions& rest, const std::string&
   }
 }
 
-/// FNV-1a, 64 bits (Fowler, Noll, Vo 1991).
-class Fnv {
- public:
-  void add(const void* data, std::size_t size) {
-    const auto* bytes = static_cast<const unsigned char*>(data);
-    for (std::size_t i = 0; i < size; ++i) value_ = (value_ ^ bytes[i]) * 0x100000001b3ULL;
-  }
-  std::uint64_t value() const { return value_; }
-
- private:
-  std::uint64_t value_ = 0xcbf29ce484222325ULL;
-};
-
 std::uint64_t hash_of(const RestPositions& rest, const Faces& faces) {
-  Fnv hash;
+  Fnv1a hash;
   const std::int64_t sizes[2] = {rest.rows(), faces.rows()};
   hash.add(sizes, sizeof sizes);
   for (Index v = 0; v < rest.rows(); ++v) {
@@ -315,8 +303,8 @@ Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_of(const Faces& fac
   sides.erase(std::unique(sides.begin(), sides.end(),
                           [](const Side& l, const Side& r) { return l.first == r.first && l.second == r.second; }),
               sides.end());
-  Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges(static_cast<Index>(sides.size()), 2);
-  for (std::size_t i = 0; i < sides.size(); ++i) edges.row(static_cast<Index>(i)) << sides[i].first, sides[i].second;
+  Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges(sides.size(), 2);
+  for (std::size_t i = 0; i < sides.size(); ++i) edges.row(i) << sides[i].first, sides[i].second;
   return edges;
 }
 

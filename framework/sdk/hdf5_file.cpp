@@ -60,7 +60,7 @@ struct Hdf5File::Impl {
     return set;
   }
   bool exists(const std::string& path) const {
-    // Every step of the path must exist before the next may be asked for.
+    // HDF5 can check a path only step by step: each step must exist before the next is checked.
     for (std::size_t slash = path.find('/', 1);; slash = path.find('/', slash + 1)) {
       if (H5Lexists(id, path.substr(0, slash).c_str(), H5P_DEFAULT) <= 0) return false;
       if (slash == std::string::npos) return true;
@@ -71,7 +71,7 @@ struct Hdf5File::Impl {
     if (H5Sget_simple_extent_type(space) != H5S_SIMPLE) return {};
     const int rank = H5Sget_simple_extent_ndims(space);
     if (rank < 0 || rank > 8) fail(path, "has a rank that is not supported");
-    std::vector<hsize_t> dims(static_cast<std::size_t>(rank));
+    std::vector<hsize_t> dims(rank);
     H5Sget_simple_extent_dims(space, dims.data(), nullptr);
     return {dims.begin(), dims.end()};
   }
@@ -81,7 +81,7 @@ struct Hdf5File::Impl {
     const Handle set(open_dataset(path), H5Dclose);
     const Handle stored(H5Dget_type(set), H5Tclose);
     const auto kind = H5Tget_class(stored);
-    if (kind != H5T_INTEGER && kind != H5T_FLOAT) fail(path, "is no array of numbers");
+    if (kind != H5T_INTEGER && kind != H5T_FLOAT) fail(path, "is not an array of numbers");
     std::size_t count = 1;
     for (const Index n : shape(set, path)) {
       if (n != 0 && count > max_elements / static_cast<std::size_t>(n)) fail(path, "is larger than this program reads");
@@ -144,7 +144,7 @@ Hdf5File Hdf5File::open(const fs::path& file) {
   auto impl = std::make_unique<Impl>();
   impl->file = file;
   impl->id = H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT);
-  if (impl->id < 0) throw ConfigError(file.string() + ": is no HDF5 file, or is damaged");
+  if (impl->id < 0) throw ConfigError(file.string() + ": is not an HDF5 file, or is damaged");
   return Hdf5File(std::move(impl));
 }
 
@@ -242,7 +242,7 @@ std::string Hdf5File::read_text(const std::string& path) const {
   constexpr std::size_t kLongest = 64u << 20;
   if (H5Tget_class(type) != H5T_STRING || H5Tis_variable_str(type) > 0 || H5Sget_simple_extent_npoints(space) != 1 ||
       H5Tget_size(type) > kLongest) {
-    impl_->fail(path, "is no text");
+    impl_->fail(path, "is not a text");
   }
   std::string text(H5Tget_size(type), '\0');
   if (H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.data()) < 0)

@@ -16,7 +16,7 @@ constexpr double kUnlimited = std::numeric_limits<double>::max();
 
 std::string text_of(double value) { return ConfigNode::number(value).as_string(); }
 
-/// Reads a finite number within [low, high]; `open` leaves the lower end out.
+/// Reads a finite number in [low, high], or in (low, high] if `open`.
 double number_in(const ConfigNode& node, double low, double high, bool open = false) {
   const double value = node.as_double();
   if (!std::isfinite(value) || value < low || (open && value == low) || value > high) {
@@ -40,7 +40,7 @@ void read_non_negative(const ConfigNode& node, const char* key, double& value, d
 
 const std::vector<std::string> kPropertyKeys = {"density_kg_per_m2", "stretch_n_per_m", "poisson",     "bend_n_m",
                                                 "friction",          "self_friction",   "thickness_m", "damping"};
-// What an ARCSim file does not say and a mapping around it may add.
+// Keys that a mapping may add to an ARCSim file.
 const std::vector<std::string> kTableOverrides = {"density_kg_per_m2", "friction", "self_friction", "thickness_m",
                                                   "damping"};
 const std::vector<std::string> kMultipliers = {"stretch_multiplier", "bend_multiplier"};
@@ -51,8 +51,8 @@ std::vector<std::string> joined(std::vector<std::string> a, const std::vector<st
 }
 
 void check_bending(const Fabric& fabric, const ConfigNode& node) {
-  // B(p) = Bw c^4 + Bf s^4 + (4 Bb - Bw - Bf) c^2 s^2 is nowhere negative iff its mixed term is at least -2 sqrt(Bw
-  // Bf).
+  //     B(p) = Bw c^4 + Bf s^4 + (4 Bb - Bw - Bf) c^2 s^2
+  // is nowhere negative iff the factor of the mixed term is at least -2 sqrt(Bw Bf).
   const double mixed = 4.0 * fabric.bend_bias_n_m - fabric.bend_warp_n_m - fabric.bend_weft_n_m;
   const double least = -2.0 * std::sqrt(fabric.bend_warp_n_m * fabric.bend_weft_n_m);
   if (mixed < least * (1.0 + 1e-12)) {
@@ -62,8 +62,9 @@ void check_bending(const Fabric& fabric, const ConfigNode& node) {
   }
 }
 
-/// Constants that the tables give at zero strain and zero curvature, times the multipliers. Simulators that do not read
-/// tables use them; a function of tables and multipliers alone, so that a written fabric reads back to the same bits.
+/// Sets the constants to the tables' values at zero strain and zero curvature, times the multipliers. Simulators that
+/// do not read tables use them. They depend on tables and multipliers only, so a written fabric reads back to the same
+/// bits.
 void constants_from_tables(Fabric& fabric) {
   const auto& row = fabric.tables->stretching[0];
   const double c11 = 2.0 * std::max(row[0], 0.0);
@@ -71,14 +72,14 @@ void constants_from_tables(Fabric& fabric) {
   const double c22 = 2.0 * std::max(row[2], 0.0);
   const double c33 = 2.0 * std::max(row[3], 0.0);
   // C11 = Kw / (1 - nu12 nu21), C22 = Kf / (1 - nu12 nu21), C12 = nu12 C22 = nu21 C11; W has C33 E12^2, so G = C33 / 2.
-  // Tables are measurements and need not be positive definite; the coupling is kept below what would be.
+  // Measured tables need not be positive definite, so the coupling is limited.
   const double coupling = c11 > 0.0 && c22 > 0.0 ? std::min(c12, 0.95 * std::sqrt(c11 * c22)) : 0.0;
   fabric.poisson = c22 > 0.0 ? coupling / c22 : 0.0;
   const double share = c11 > 0.0 && c22 > 0.0 ? 1.0 - coupling * coupling / (c11 * c22) : 1.0;
   fabric.stretch_warp_n_per_m = c11 * share * fabric.stretch_multiplier;
   fabric.stretch_weft_n_per_m = c22 * share * fabric.stretch_multiplier;
   fabric.stretch_shear_n_per_m = c33 / 2.0 * fabric.stretch_multiplier;
-  // Rows are the direction of the bend axis: about the weft (90 deg) the warp bends.
+  // A row is a direction of the bend axis. The warp bends about the weft (90 deg).
   fabric.bend_warp_n_m = fabric.tables->bending[2][0] / 4.0 * fabric.bend_multiplier;
   fabric.bend_weft_n_m = fabric.tables->bending[0][0] / 4.0 * fabric.bend_multiplier;
   fabric.bend_bias_n_m = fabric.tables->bending[1][0] / 4.0 * fabric.bend_multiplier;
@@ -210,7 +211,7 @@ Fabric read_arcsim(const std::filesystem::path& path) {
     throw ConfigError(where + "density = " + json["density"].dump() + ", must be in (0, 1000]");
   }
   auto tables = std::make_shared<MaterialTables>();
-  // Fits to measurements dip below zero; a simulator clamps such entries, as the format prescribes.
+  // Fitted entries can be below zero. A simulator clamps them, as the format prescribes.
   read_json_table(json, where, "stretching", tables->stretching, true);
   read_json_table(json, where, "bending", tables->bending, false);
   if (!(tables->stretching[0][0] > 0.0 && tables->stretching[0][2] > 0.0 && tables->stretching[0][3] > 0.0)) {
@@ -249,7 +250,7 @@ Fabric read_fabric_mapping(const ConfigNode& node, const std::string& default_na
   fabric.name = default_name;
   if (const auto file = node.find("file")) {
     fabric = read_fabric_file(*file);
-    // The tables of an ARCSim file are its elasticity; constants beside them would say the same thing twice.
+    // The tables of an ARCSim file define its elasticity, so constants for it are not allowed.
     node.refuse_unknown_keys(
         joined(joined({"file", "name", "source"}, kMultipliers), fabric.tables ? kTableOverrides : kPropertyKeys));
   } else {
@@ -343,7 +344,7 @@ ConfigNode write_fabric(const Fabric& fabric) {
 }
 
 double PropertyRange::at(double q) const {
-  // The ends exactly, whatever the rounding of exp and log.
+  // Return the ends exactly; exp and log would round.
   if (q == 0.0) return low;
   if (q == 1.0) return high;
   return logarithmic ? low * std::exp(q * std::log(high / low)) : low + q * (high - low);
@@ -357,7 +358,7 @@ Fabric MaterialSpace::at(const MaterialProperties& q) const {
   constexpr double kSlack = 1e-9;
   std::array<double, 4> value{};
   for (std::size_t p = 0; p < 4; ++p) {
-    const double raw = q[static_cast<Index>(p)];
+    const double raw = q[p];
     if (!(raw >= -kSlack && raw <= 1.0 + kSlack)) {
       throw ConfigError(std::string("material property ") + kPropertyNames[p] + " = " + text_of(raw) +
                         ", must be in [0, 1]");
@@ -365,7 +366,7 @@ Fabric MaterialSpace::at(const MaterialProperties& q) const {
     value[p] = ranges[p].at(std::clamp(raw, 0.0, 1.0));
   }
   Fabric fabric = nominal.scaled(value[2], value[1]);
-  // The ratio of the two frictions is the fabric's; an exact frictionless nominal has none to keep.
+  // Self friction keeps its ratio to ground friction. A nominal fabric without ground friction has no ratio.
   fabric.self_friction = nominal.friction > 0.0 ? nominal.self_friction * (value[0] / nominal.friction) : value[0];
   fabric.friction = value[0];
   fabric.thickness_m = value[3];
@@ -387,7 +388,7 @@ MaterialSpace read_material_space(const ConfigNode& node) {
     const std::string scale = entry.has("scale") ? entry.at("scale").as_string() : "linear";
     if (scale != "log" && scale != "linear") entry.at("scale").fail("= " + scale + ", must be log or linear");
     range.logarithmic = scale == "log";
-    // A multiplier of 0 is no cloth and the log of 0 no number; friction and thickness may start at 0 when linear.
+    // Multipliers and logarithmic ranges must start above 0; linear ranges of friction and thickness may start at 0.
     const bool open = range.logarithmic || p == 1 || p == 2;
     range.low = number_in(entry.at("low"), 0.0, 1e6, open);
     range.high = number_in(entry.at("high"), 0.0, 1e6, open);

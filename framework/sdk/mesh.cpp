@@ -14,11 +14,10 @@
 namespace weft {
 namespace {
 
-// Larger than any mesh that could be simulated; bounds what a hostile file can make us allocate.
+// Larger than any mesh that can be simulated. It limits the memory that a hostile file can make us allocate.
 constexpr std::uintmax_t kMaxFileBytes = std::uintmax_t{1} << 30;
 
-// Statements that say nothing about a triangle mesh: comments' kin, materials, groups, and the simulation state that
-// ARCSim writes beside the mesh.
+// Ignored statements: normals, groups, materials, and the simulation state that ARCSim adds to a mesh.
 constexpr std::array<std::string_view, 25> kIgnored = {
     "vn", "vp", "g",  "o",  "s",  "usemtl", "mtllib", "usemap", "maplib", "e",     "tn",       "ny",      "nv",
     "nl", "ns", "nm", "nc", "ea", "ed",     "el",     "tl",     "tp",     "bevel", "c_interp", "d_interp"};
@@ -47,7 +46,7 @@ std::string read_whole(const std::filesystem::path& path) {
                       std::to_string(kMaxFileBytes));
   }
   std::ifstream in(path, std::ios::binary);
-  std::string text(static_cast<std::size_t>(size), '\0');
+  std::string text(size, '\0');
   if (!in || !in.read(text.data(), static_cast<std::streamsize>(size))) {
     throw ConfigError(path.string() + ": cannot be read");
   }
@@ -56,7 +55,7 @@ std::string read_whole(const std::filesystem::path& path) {
 
 bool is_space(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; }
 
-/// Next word of the line, or empty; `rest` moves behind it.
+/// Removes the next word of the line from `rest` and returns it; empty at the end.
 std::string_view next_word(std::string_view& rest) {
   std::size_t begin = 0;
   while (begin < rest.size() && is_space(rest[begin])) ++begin;
@@ -117,8 +116,8 @@ struct Reader {
     texture.push_back({values[0], values[1]});
   }
 
-  /// One index of a face: 1-based, or negative and relative to what was read so far. Forward references are checked at
-  /// the end.
+  /// One index of a face: 1-based, or negative and relative to the entries read so far. Forward references are checked
+  /// at the end.
   int index(std::string_view text, std::size_t count, const std::string& what, std::string_view word) const {
     long long value = 0;
     std::string_view digits = text;
@@ -161,8 +160,7 @@ struct Reader {
           const std::string_view vt = tail.substr(0, second);
           if (!vt.empty()) textures[count] = index(vt, texture.size(), what + " (vt)", word);
           if (second != std::string_view::npos && !tail.substr(second + 1).empty()) {
-            index(tail.substr(second + 1), static_cast<std::size_t>(std::numeric_limits<int>::max()), what + " (vn)",
-                  word);
+            index(tail.substr(second + 1), std::numeric_limits<int>::max(), what + " (vn)", word);
           }
         }
       }
@@ -195,7 +193,7 @@ struct Reader {
     for (const std::string_view ignored : kIgnored) {
       if (keyword == ignored) return;
     }
-    fail(name, line, quote(keyword) + " is no statement of a triangle mesh (v, vt, vn, f, g, o, s, usemtl, mtllib)");
+    fail(name, line, quote(keyword) + " is not a statement of a triangle mesh (v, vt, vn, f, g, o, s, usemtl, mtllib)");
   }
 
   Mesh finish() const {
@@ -219,7 +217,8 @@ struct Reader {
         const int vt = face_textures[f][k];
         if ((vt >= 0) != with_texture) {
           fail(name, face_lines[f],
-               what + (with_texture ? " has no vt" : " has a vt") + ", unlike the faces before it: all or none");
+               what + (with_texture ? " has no vt" : " has a vt") +
+                   ", unlike the faces before it; all faces must have vt, or none");
         }
         if (vt < 0) continue;
         if (vt >= texture_count) {
@@ -227,8 +226,8 @@ struct Reader {
                what + " names vt " + std::to_string(static_cast<long long>(vt) + 1) + ", but the file has only " +
                    std::to_string(texture_count));
         }
-        int& known = texture_of[static_cast<std::size_t>(v)];
-        if (known >= 0 && texture[static_cast<std::size_t>(known)] != texture[static_cast<std::size_t>(vt)]) {
+        int& known = texture_of[v];
+        if (known >= 0 && texture[known] != texture[vt]) {
           fail(name, face_lines[f],
                what + " gives vertex " + std::to_string(v + 1) + " vt " + std::to_string(vt + 1) +
                    ", but an earlier face gave it vt " + std::to_string(known + 1) +
@@ -243,26 +242,26 @@ struct Reader {
     }
     if (!with_texture && !texture.empty()) {
       throw ConfigError(name + ": " + std::to_string(texture_count) +
-                        " vt, but no face refers to them: write f v/vt v/vt v/vt, or leave the vt out");
+                        " vt, but no face uses them: write f v/vt v/vt v/vt, or remove the vt");
     }
     Mesh mesh;
     mesh.source = name;
     mesh.positions.resize(vertex_count, 3);
     for (Index v = 0; v < vertex_count; ++v) {
       for (Index k = 0; k < 3; ++k) {
-        mesh.positions(v, k) = vertices[static_cast<std::size_t>(v)][static_cast<std::size_t>(k)];
+        mesh.positions(v, k) = vertices[v][k];
       }
     }
     mesh.rest.resize(with_texture ? vertex_count : 0, 2);
     for (Index v = 0; v < mesh.rest.rows(); ++v) {
-      const int vt = texture_of[static_cast<std::size_t>(v)];
+      const int vt = texture_of[v];
       if (vt < 0) throw ConfigError(name + ": vertex " + std::to_string(v + 1) + " is in no face");
-      mesh.rest(v, 0) = texture[static_cast<std::size_t>(vt)][0];
-      mesh.rest(v, 1) = texture[static_cast<std::size_t>(vt)][1];
+      mesh.rest(v, 0) = texture[vt][0];
+      mesh.rest(v, 1) = texture[vt][1];
     }
-    mesh.faces.resize(static_cast<Index>(faces.size()), 3);
+    mesh.faces.resize(faces.size(), 3);
     for (Index f = 0; f < mesh.faces.rows(); ++f) {
-      for (Index k = 0; k < 3; ++k) mesh.faces(f, k) = faces[static_cast<std::size_t>(f)][static_cast<std::size_t>(k)];
+      for (Index k = 0; k < 3; ++k) mesh.faces(f, k) = faces[f][k];
     }
     return mesh;
   }
@@ -315,7 +314,7 @@ void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact) 
   }
   if (mesh.rest.rows() != 0) require_shape("write_obj: rest rows", mesh.rest.rows(), mesh.positions.rows());
   std::string out;
-  out.reserve(static_cast<std::size_t>(mesh.positions.rows() * 60 + mesh.faces.rows() * 30));
+  out.reserve(mesh.positions.rows() * 60 + mesh.faces.rows() * 30);
   for (Index v = 0; v < mesh.positions.rows(); ++v) {
     out += 'v';
     for (Index k = 0; k < 3; ++k) append_number(out += ' ', mesh.positions(v, k), exact);
@@ -336,7 +335,7 @@ void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact) 
     }
     out += '\n';
   }
-  // Written beside and renamed, so that a killed run leaves no half mesh behind.
+  // Write a temporary file and rename it, so that a killed run leaves no partial mesh.
   const std::filesystem::path temporary = path.string() + ".part";
   {
     std::ofstream file(temporary, std::ios::binary | std::ios::trunc);

@@ -25,13 +25,13 @@ std::string range_text(const Range& range) {
   return "a number";
 }
 
-/// "3 numbers (x, y, z)" of a list that must have three; "numbers" of one of any length.
+/// "3 numbers (x, y, z)" for a list that must have three; "numbers" for a list of any length.
 std::string entries_text(const Length& length, const char* what) {
   if (length.count == 0) return what;
   return std::to_string(length.count) + " " + what + (length.entries.empty() ? "" : " (" + length.entries + ")");
 }
 
-// Files that a config names are relative to it; a resolved config may be saved anywhere.
+// Paths in a config are relative to it, but a resolved config may be saved anywhere.
 std::filesystem::path resolved_path(const ConfigNode& node) {
   return node.as_string().empty() ? std::filesystem::path() : std::filesystem::absolute(node.as_path());
 }
@@ -41,7 +41,7 @@ class Reader final : public ParamVisitor {
  public:
   explicit Reader(const ConfigNode& node) { levels_.push_back({node, {}, {}, {}}); }
 
-  /// Refuses leftovers. @return the resolved mapping of the innermost level.
+  /// Refuses unknown keys. @return the resolved mapping of the innermost level.
   ConfigNode finish() {
     levels_.back().node.refuse_unknown_keys(levels_.back().known);
     return ConfigNode::mapping(levels_.back().resolved);
@@ -137,7 +137,7 @@ class Reader final : public ParamVisitor {
     return ConfigNode::quoted(value.string());
   }
 
-  /// @param may_be_empty the default is empty: an empty list says the same as none.
+  /// @param may_be_empty the default is empty, so an empty list means "not given".
   static void check_list(const Declaration& declared, const ConfigNode& node, bool may_be_empty, const char* what,
                          const std::string& each) {
     const std::size_t count = declared.length.count;
@@ -287,7 +287,7 @@ ConfigNode keep_below(const ConfigNode& node, const std::string& prefix, const s
         std::find_if(params.begin(), params.end(), [&](const ParamInfo& info) { return info.name == name; });
     bool stays = declared != params.end() && keep(*declared);
     if (declared == params.end()) {
-      // A group: it stays with what stays of it. One that is given as null holds all of its defaults.
+      // A group stays if one of its keys stays. A null group has all keys, with their defaults.
       const ConfigNode group = node.at(key);
       std::vector<ParamInfo> members;
       std::copy_if(params.begin(), params.end(), std::back_inserter(members),

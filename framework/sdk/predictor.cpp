@@ -58,7 +58,7 @@ void check_cases(const std::string& who, const Task& task, const std::vector<Pre
 
 CalibrationReport TrainablePredictor::calibrate(const Dataset&, const std::vector<std::size_t>&, const Task&,
                                                 const CalibrationOptions&) {
-  throw ConfigError("this predictor cannot calibrate a model that is trained already");
+  throw ConfigError("this predictor cannot recalibrate a trained model");
 }
 
 }  // namespace weft

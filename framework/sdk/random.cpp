@@ -9,7 +9,7 @@
 namespace weft {
 namespace {
 
-// splitmix64's finaliser: spreads small keys over all bits.
+// The finaliser of splitmix64 spreads small keys over all bits.
 std::uint64_t mix(std::uint64_t z) {
   z += 0x9E3779B97F4A7C15ull;
   z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ull;
@@ -60,7 +60,7 @@ double RandomStream::normal() {
 
 std::uint64_t RandomStream::below(std::uint64_t n) {
   if (n == 0) throw Error("RandomStream::below: n = 0, must be at least 1");
-  const std::uint64_t limit = ~0ull - ~0ull % n;  // rejection keeps it unbiased
+  const std::uint64_t limit = ~0ull - ~0ull % n;  // rejection makes it unbiased
   std::uint64_t value = bits64();
   while (value >= limit) value = bits64();
   return value % n;

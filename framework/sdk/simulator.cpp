@@ -14,7 +14,7 @@ std::string number(double value) {
   return text;
 }
 
-/// A simulator with one stiffness for all directions refuses the others: their mean would be another fabric.
+/// A simulator with one stiffness for all directions refuses other fabrics. Their mean would be another fabric.
 void check_isotropic(const std::string& plugin, const Fabric& fabric) {
   const std::string reason = ": this simulator has one stiffness for warp and weft (capability orthotropic)";
   if (fabric.tables)
@@ -29,7 +29,7 @@ void check_isotropic(const std::string& plugin, const Fabric& fabric) {
   require_equal("bend_n_m", fabric.bend_warp_n_m, fabric.bend_weft_n_m);
 }
 
-/// Empty, or the warning that a grasp stretched the cloth by more than the plugin's parameter grasp_strain_warning.
+/// The warning that a grasp stretched the cloth by more than the plugin's parameter grasp_strain_warning, or empty.
 std::string grasp_strain_warning(double largest_strain, double limit) {
   if (!(largest_strain > limit)) return {};
   char text[120];
@@ -91,10 +91,10 @@ void check_reset(const std::string& plugin, const Garment* garment, const Fabric
       throw ConfigError(plugin + ": scene.pins holds " + std::to_string(pin) + ", must be in [0, " +
                         std::to_string(n - 1) + "]");
   if (!capabilities.pins && !scene.pins.empty())
-    throw ConfigError(plugin + ": scene.pins has vertices, must be empty: this simulator pins none (capability pins)");
+    throw ConfigError(plugin + ": scene.pins has vertices, must be empty: this simulator cannot pin (capability pins)");
   if (!capabilities.gravity_any_direction && (scene.gravity.x() != 0.0 || scene.gravity.y() != 0.0))
     throw ConfigError(plugin + ": scene.gravity is not vertical, must be: " +
-                      "this simulator knows no other gravity (capability gravity_any_direction)");
+                      "this simulator supports vertical gravity only (capability gravity_any_direction)");
   if (!capabilities.orthotropic) check_isotropic(plugin, fabric);
 }
 
@@ -135,7 +135,7 @@ void SimulatorBase::set_held(std::span<const Index> vertices) {
   held_.assign(vertices.begin(), vertices.end());
   std::fill(is_held_.begin(), is_held_.end(), std::uint8_t{0});
   for (const Index vertex : held_) is_held_[vertex] = 1;
-  still_.resize(static_cast<Index>(held_.size()), 3);
+  still_.resize(held_.size(), 3);
 }
 
 void SimulatorBase::reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) {
@@ -221,7 +221,7 @@ void SimulatorBase::release() { release(std::vector<Index>(held_)); }
 
 void SimulatorBase::step(const Positions& grasp_targets) {
   require_running("step");
-  const auto held = static_cast<Index>(held_.size());
+  const Index held = held_.size();
   if (grasp_targets.rows() != held)  // else its message is allocated in every frame
     require_shape(name_ + ": step: rows of grasp_targets", grasp_targets.rows(), held);
   if (!grasp_targets.allFinite()) throw Error(name_ + ": step: grasp_targets are not finite");
@@ -230,7 +230,7 @@ void SimulatorBase::step(const Positions& grasp_targets) {
 
 SettleResult SimulatorBase::settle(const SettleCriterion& criterion) {
   require_running("settle");
-  for (std::size_t k = 0; k < held_.size(); ++k) still_.row(static_cast<Index>(k)) = positions_.row(held_[k]);
+  for (std::size_t k = 0; k < held_.size(); ++k) still_.row(k) = positions_.row(held_[k]);
   SettleResult result;
   for (Index calm = 0; result.frames < criterion.max_frames && !result.settled; ++result.frames) {
     advance(still_, options_.settle_drag_per_s);
@@ -247,7 +247,7 @@ void SimulatorBase::advance(const Positions& targets, double extra_drag) {
   const auto diverged = [&](const std::string& why) {
     throw Diverged(name_ + ": diverged in frame " + std::to_string(frame_ + 1) + ": " + why);
   };
-  phase_ = Phase::diverged;  // unless the frame ends well
+  phase_ = Phase::diverged;  // reset below if the frame succeeds
   try {
     advance_frame(targets, fabric_.damping_air_per_s + extra_drag, next_positions_, next_velocities_);
   } catch (const Diverged& error) {

@@ -3,9 +3,9 @@
 namespace weft {
 namespace {
 
-Index count(const std::vector<Variable>& variables) { return static_cast<Index>(variables.size()); }
+Index count(const std::vector<Variable>& variables) { return variables.size(); }
 
-/// A field of the controls, repeated to `size` entries.
+/// One field of the control variables, repeated to `size` entries.
 Vector repeated(const std::vector<Variable>& controls, double Variable::*field, Index size) {
   Vector result(size);
   for (Index i = 0; i < size; ++i) result[i] = controls[i % count(controls)].*field;
@@ -68,9 +68,9 @@ Vector Trajectory::decision_scale(Index horizon) const {
 
 Controls Trajectory::default_controls(Index horizon) const {
   const auto variables = controls();
-  Controls result(horizon, static_cast<Index>(variables.size()));
+  Controls result(horizon, variables.size());
   for (std::size_t c = 0; c < variables.size(); ++c) {
-    result.col(static_cast<Index>(c)).setConstant(variables[c].default_value);
+    result.col(c).setConstant(variables[c].default_value);
   }
   return result;
 }

@@ -37,7 +37,7 @@ void SimulatorEnvironment::execute(const SegmentPath& path) {
 
 SettleResult SimulatorEnvironment::release() {
   simulator_->release();
-  // A frame at a time, to record each: the same states as in one go (Simulator::settle).
+  // Settle one frame at a time, to record each. The states are those of a single call (Simulator::settle).
   const SettleCriterion one_frame{settle_.speed, 1, 1};
   SettleResult result;
   for (Index calm = 0; result.frames < settle_.max_frames && calm < settle_.hold_frames; ++result.frames) {
@@ -65,7 +65,8 @@ std::unique_ptr<Environment> make_environment(const EnvironmentParams& params, c
   const std::pair<const char*, double> shares[] = {{"observation.hidden_share", observation.hidden_share},
                                                    {"observation.lost_share", observation.lost_share}};
   for (const auto& [key, share] : shares) {
-    if (share > 0.0) must_be(place(origin, key), "0 with environment.command: the process says what it sees");
+    if (share > 0.0)
+      must_be(place(origin, key), "0 with environment.command: the process reports the vertices that it sees");
   }
   const ConfigNode command = place(origin, "environment.command");
   ProcessOptions options;

@@ -13,28 +13,28 @@
 
 namespace weft {
 
-/// Where a plan is carried out: a simulator, or a robot with a camera. Holds the task's grasp vertices from the start.
-/// Call order: observe() of the start; then execute() and observe() for every segment. When the hands let go at the end
-/// of a segment, release() comes between the two. One thread at a time.
+/// Executes a plan: a simulator, or a robot with a camera. It holds the task's grasp vertices from the start.
+/// Call order: observe() once, then execute() and observe() for every segment. If the hands let go at the end of a
+/// segment, release() comes between the two. One thread at a time.
 class Environment {
  public:
   virtual ~Environment() = default;
-  /// What is seen of the cloth now. Sees at least one vertex. @throws Error.
+  /// Observes the cloth now. Sees at least one vertex. @throws Error.
   virtual Observation observe() = 0;
-  /// Moves the held vertices along the segment and returns when they are there. @throws Error, Diverged.
+  /// Moves the held vertices along the segment and returns at its end. @throws Error, Diverged.
   virtual void execute(const SegmentPath& path) = 0;
-  /// Lets go and waits until the cloth lies still. @throws Error, Diverged.
+  /// Releases the cloth and waits until it lies still. @throws Error, Diverged.
   virtual SettleResult release() = 0;
-  /// For the user: what went not quite right so far.
+  /// Warnings for the user so far.
   virtual std::vector<std::string> warnings() const { return {}; }
 
-  // What a simulated world knows, and a camera does not.
+  // Known in a simulated world, but not to a camera.
   virtual std::optional<MaterialProperties> true_material() const { return std::nullopt; }
   virtual std::optional<Positions> true_shape() const { return std::nullopt; }  ///< [V, 3] m, now
   /// Largest strain at a held vertex so far.
   virtual std::optional<double> max_grasp_strain() const { return std::nullopt; }
-  /// [1 + 12 segments + settling] of [V * 3], single precision: the start, every frame of each executed segment and of
-  /// the settling. nullopt: nothing is seen between two observations.
+  /// [1 + 12 segments + settling] of [V * 3], single precision: the start, and every frame of the executed segments and
+  /// of settling. nullopt: the cloth is not seen between two observations.
   virtual std::optional<std::vector<std::vector<float>>> frames() const { return std::nullopt; }
 };
 
@@ -67,7 +67,7 @@ class SimulatorEnvironment final : public Environment {
   double max_grasp_strain_ = 0.0;
 };
 
-/// Which environment carries a session out.
+/// The environment of a session.
 struct EnvironmentParams {
   std::vector<std::string> command;
   std::filesystem::path folder;
@@ -76,19 +76,19 @@ struct EnvironmentParams {
   template <class Visitor>
   void visit(Visitor& v) {
     v("command", command,
-      "Program and arguments of a process that moves the cloth and looks at it (docs/environment-protocol.md); "
-      "default: the simulator.");
-    v("folder", folder, "Folder that the command runs in; default: that of the file that names the command.");
-    v("timeout_s", timeout_s, range(0.01, 1e6, "s"), "Longest time that an answer of the process may take.");
+      "Program and arguments of a process that moves and observes the cloth (docs/environment-protocol.md); default: "
+      "the simulator.");
+    v("folder", folder, "Working folder of the command; default: the folder of the file that sets the command.");
+    v("timeout_s", timeout_s, range(0.01, 1e6, "s"), "Longest wait for an answer of the process.");
   }
   bool simulated() const { return command.empty(); }
 };
 
 /// The environment that `params` describe: the task's simulator, or a process.
-/// @param origin what holds `environment` and `observation`, for messages.
-/// @param material q of the cloth; nullopt only for a process: nobody knows it.
-/// @param observation a process sees by itself: noise and height bias are what it has unless it says otherwise.
-/// @throws ConfigError for a command that cannot be run; Error when the process does not speak the protocol.
+/// @param origin the node with `environment` and `observation`, for messages.
+/// @param material q of the cloth; nullopt: unknown, for a process only.
+/// @param observation for a process: the noise and height bias of observations that do not state their own.
+/// @throws ConfigError for a command that cannot be run; Error if the process breaks the protocol.
 std::unique_ptr<Environment> make_environment(const EnvironmentParams& params, const ConfigNode& origin,
                                               const Task& task, const std::optional<MaterialProperties>& material,
                                               const ObservationParams& observation, std::uint64_t seed, Host& host);

@@ -6,22 +6,22 @@
 
 namespace weft {
 
-/// What the first look of a session tells its estimates.
+/// Sets the start shape and its errors in `request` from the first observation of a session.
 void set_start(EstimateRequest& request, const Task& task, const Observation& seen);
 
-/// Estimates after every segment, each from everything up to then and the estimate before it. With more than one thread
-/// they run beside the session; their values do not depend on that.
+/// Estimates the material after every segment, from the whole history and the previous estimate. With more than one
+/// thread the estimates run in parallel to the session. Their values do not depend on that.
 class EstimateChain {
  public:
-  /// @param estimator may be null as long as add() is not called.
+  /// @param estimator may be null if add() is never called.
   EstimateChain(const Estimator* estimator, Host& host, std::uint64_t seed);
   /// @param controls C, the number of controls. @param state [S].
   void start(const Task& task, const Observation& seen, const Vector& state, Index controls);
-  /// One more segment was executed and seen. Beyond what the predictor takes the last estimate stays.
+  /// Adds an executed segment and its observation. Beyond the predictor's max_segments() the last estimate stays.
   void add(ConstVec control, Observation seen);
-  /// After `segments` segments; before the first one nothing is known. Waits for it.
+  /// The estimate after `segments` segments; no knowledge before the first one. Waits for it.
   MaterialKnowledge knowledge(std::int64_t segments) const;
-  /// One per segment that was added. Waits for them.
+  /// One estimate per added segment. Waits for them.
   std::vector<Estimate> all() const;
 
  private:

@@ -12,10 +12,10 @@
 namespace weft {
 namespace {
 
-/// Sigma below which the loss does not reward less: keeps 1 + log(sigma / floor) positive, as least squares needs it.
+/// A sigma below this value does not lower the loss. So 1 + log(sigma / floor) stays positive, as least squares needs.
 constexpr double kSigmaFloor = 1e-4;  // m
 
-/// One seen coordinate: which shape, which entry of it, where it was.
+/// One seen coordinate: the shape, the entry in it, and the measured value.
 struct Coordinate {
   std::size_t shape;
   Index entry;  // of [V, 3], row-major
@@ -24,7 +24,7 @@ struct Coordinate {
 
 struct History {
   std::vector<Coordinate> coordinates;
-  std::vector<Index> segments;  // with anything seen, ascending, 1-based
+  std::vector<Index> segments;  // those with a seen vertex, ascending, 1-based
   std::vector<double> noise;    // [segments], m
 };
 
@@ -34,7 +34,7 @@ History collect(const EstimateRequest& request, Index vertices) {
     const auto& seen = *request.observations[j];
     const std::string where = "estimation: observation " + std::to_string(j + 1);
     require_shape(where + ": positions", seen.positions.rows(), vertices);
-    if (!seen.observed.empty()) require_shape(where + ": observed", static_cast<Index>(seen.observed.size()), vertices);
+    if (!seen.observed.empty()) require_shape(where + ": observed", seen.observed.size(), vertices);
     if (!(seen.sigma >= 0.0) || !std::isfinite(seen.sigma)) throw Error(where + ": sigma must be finite and >= 0");
     const std::size_t before = history.coordinates.size();
     for (Index v = 0; v < vertices; ++v) {
@@ -44,15 +44,15 @@ History collect(const EstimateRequest& request, Index vertices) {
         history.coordinates.push_back({history.segments.size(), 3 * v + axis, seen.positions(v, axis)});
     }
     if (history.coordinates.size() == before) continue;
-    history.segments.push_back(static_cast<Index>(j) + 1);
+    history.segments.push_back(j + 1);
     history.noise.push_back(seen.sigma);
   }
   return history;
 }
 
-/// Loss of a batch of (c, w), or of c alone at w = 0. Per coordinate, sigma with the measurement's noise in it:
-///     1/2 ((x - mu) / sigma)^2 + 1 + log(sigma / floor), averaged  =  eq. 6 + constant
-/// plus the prior on w, plus what the height of the start shape says.
+/// Loss of a batch of (c, w), or of c alone at w = 0. It is the mean over the coordinates of
+///     1/2 ((x - mu) / sigma)^2 + 1 + log(sigma / floor)  =  eq. 6 + constant,
+/// where sigma includes the measurement's noise, plus the prior on w and the term of the start shape's height.
 class EstimationObjective final : public Objective {
  public:
   EstimationObjective(const Task& task, const Predictor& predictor, const EstimatorParams& params,
@@ -66,10 +66,10 @@ class EstimationObjective final : public Objective {
       return;
     }
     const auto shapes = static_cast<double>(history.segments.size());
-    // Errors that the shapes of a sequence share do not average out: the design effect [Kish 1965, "Survey sampling"].
+    // Errors shared by the shapes of a sequence do not average out: the design effect [Kish 1965, "Survey sampling"].
     information_ =
         std::min(n, params.effective_coordinates * shapes / (1.0 + (shapes - 1.0) * params.shape_correlation));
-    // The predictor's errors come in blocks that move together, and the measurement's noise averages out in a block.
+    // The predictor's errors move together in blocks of coordinates, so measurement noise averages out in a block.
     noise_share_ = information_ / n;
     has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
     if (has_start_height_) {
@@ -104,7 +104,7 @@ class EstimationObjective final : public Objective {
 
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
     require_shape("estimation objective: x rows", x.rows(), dim());
-    require_shape("estimation objective: instances", static_cast<Index>(instances.size()), x.cols());
+    require_shape("estimation objective: instances", instances.size(), x.cols());
     if (wanted.gradients && !capabilities().gradients)
       throw Unsupported("estimation objective: the predictor has no gradients");
     const Index n = x.cols();
@@ -121,23 +121,21 @@ class EstimationObjective final : public Objective {
     result.costs = Vector::Constant(n, std::numeric_limits<double>::infinity());
     std::vector<std::vector<ShapeCotangent>> cotangents(cases.size());
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
-      cotangents[at].resize(history_.segments.size());
-      if (!prediction->failure(at).empty()) continue;
-      const auto& shapes = prediction->shapes()[at];
+      cotangents[i].resize(history_.segments.size());
+      if (!prediction->failure(i).empty()) continue;
+      const auto& shapes = prediction->shapes()[i];
       double prior = 0.0;
       for (Index p = 4; p < dim(); ++p) prior += prior_term(x(p, i));
       const double start = start_residual(x.col(i));
-      result.costs(i) = shape_cost(shapes, wanted.gradients ? &cotangents[at] : nullptr) + prior + 0.5 * start * start;
+      result.costs(i) = shape_cost(shapes, wanted.gradients ? &cotangents[i] : nullptr) + prior + 0.5 * start * start;
     }
     if (wanted.gradients) {
       const auto gradients = prediction->pullback(cotangents);
       result.gradients = Matrix::Zero(dim(), n);
       for (Index i = 0; i < n; ++i) {
-        const auto at = static_cast<std::size_t>(i);
         if (!std::isfinite(result.costs(i))) continue;
-        result.gradients.col(i).head<4>() = gradients[at].centre;
-        if (!is_certain_) result.gradients.col(i).tail<4>() = gradients[at].width;
+        result.gradients.col(i).head<4>() = gradients[i].centre;
+        if (!is_certain_) result.gradients.col(i).tail<4>() = gradients[i].width;
         for (Index p = 4; p < dim(); ++p) result.gradients(p, i) += prior_slope(x(p, i));
         if (has_start_height_)
           result.gradients(kThickness, i) += start_residual(x.col(i)) * start_slope(x(kThickness, i));
@@ -147,8 +145,8 @@ class EstimationObjective final : public Objective {
     return result;
   }
 
-  /// Means over the coordinates of the negative log-likelihood, lengths in mm: eq. 6 without anything else; and of the
-  /// squared normalised error.
+  /// Sets nll and misfit, two means over the coordinates: the negative log-likelihood (eq. 6 alone, lengths in mm) and
+  /// the squared normalised error.
   void rate(const std::vector<ShapeDistribution>& shapes, Estimate& estimate) const {
     estimate.nll = estimate.misfit = 0.0;
     for (const auto& c : history_.coordinates) {
@@ -163,9 +161,9 @@ class EstimationObjective final : public Objective {
   /// The posterior around the best q: gradient and Gauss-Newton precision of n L(q) by central differences, n the
   /// number of independent measurements. For normal distributions the precision (the Fisher information) is the sum of
   ///     dmu dmu' / sigma^2 + 2 dsigma dsigma' / sigma^2.
-  /// Sigma is right on average, not for this sequence: all its variances have a common factor, for which the mean
-  /// squared residual speaks (Birge's ratio [Birge 1932, "The calculation of errors by the method of least squares"])
-  /// with the weight of n measurements, and a prior for 1 with that of `misfit_prior`.
+  /// Sigma is right on average, but not for each sequence. So all variances of a sequence get a common factor: the
+  /// weighted mean of its mean squared residual (Birge's ratio [Birge 1932, "The calculation of errors by the method of
+  /// least squares"]), with the weight of n measurements, and of 1, with the weight `misfit_prior`.
   MaterialPosterior posterior(const PropertyVector& mode, double misfit) {
     std::vector<PredictionCase> cases{make_case(mode)};
     PropertyVector low, high;
@@ -177,22 +175,21 @@ class EstimationObjective final : public Objective {
       cases.push_back(make_case(q));
     }
     const auto prediction = predictor_.predict(cases, {.moments = Moments::mean_and_sigma});
-    evaluations_ += static_cast<Index>(cases.size());
+    evaluations_ += cases.size();
     if (!prediction->failure(0).empty())
       throw Error("estimation: the best estimate cannot be predicted: " + prediction->failure(0));
     const auto& shapes = prediction->shapes();
-    // A side that cannot be predicted is left out; with neither side the property stays unknown.
+    // A side that cannot be predicted is left out. If both sides are, the property stays unknown.
     std::array<const std::vector<ShapeDistribution>*, 4> lower{}, upper{};
     MaterialPosterior result;
     result.mode = mode;
     for (std::size_t p = 0; p < 4; ++p) {
-      const auto i = static_cast<Index>(p);
-      const bool has_lower = prediction->failure(1 + 2 * p).empty() && low(i) < mode(i);
-      const bool has_upper = prediction->failure(2 + 2 * p).empty() && high(i) > mode(i);
+      const bool has_lower = prediction->failure(1 + 2 * p).empty() && low(p) < mode(p);
+      const bool has_upper = prediction->failure(2 + 2 * p).empty() && high(p) > mode(p);
       lower[p] = has_lower ? &shapes[1 + 2 * p] : &shapes[0];
       upper[p] = has_upper ? &shapes[2 + 2 * p] : &shapes[0];
-      if (!has_lower) low(i) = mode(i);
-      if (!has_upper) high(i) = mode(i);
+      if (!has_lower) low(p) = mode(p);
+      if (!has_upper) high(p) = mode(p);
     }
     const double factor = (params_.misfit_prior + information_ * misfit) / (params_.misfit_prior + information_);
     const double weight = information_ * per_coordinate_ / factor;
@@ -201,12 +198,12 @@ class EstimationObjective final : public Objective {
       const double error = c.position - shapes[0][c.shape].mean.data()[c.entry];
       PropertyVector mean, deviation;
       for (std::size_t p = 0; p < 4; ++p) {
-        const double span = high(static_cast<Index>(p)) - low(static_cast<Index>(p));
+        const double span = high(p) - low(p);
         const auto& a = (*lower[p])[c.shape];
         const auto& b = (*upper[p])[c.shape];
-        mean(static_cast<Index>(p)) = span > 0 ? (b.mean.data()[c.entry] - a.mean.data()[c.entry]) / span : 0.0;
+        mean(p) = span > 0 ? (b.mean.data()[c.entry] - a.mean.data()[c.entry]) / span : 0.0;
         // d sqrt(sigma^2 + noise^2) = sigma / total dsigma
-        deviation(static_cast<Index>(p)) =
+        deviation(p) =
             span > 0 ? (b.sigma.data()[c.entry] - a.sigma.data()[c.entry]) / span * s / std::sqrt(variance) : 0.0;
       }
       result.precision += weight / variance * (mean * mean.transpose() + 2.0 * deviation * deviation.transpose());
@@ -218,7 +215,7 @@ class EstimationObjective final : public Objective {
       result.precision(kThickness, kThickness) += slope * slope;
       result.gradient(kThickness) += start_residual(mode) / start_factor() * slope;
     }
-    // Inside the box the search has found a minimum: what is left of the gradient is its tolerance.
+    // Inside the box the search has found a minimum, so the rest of the gradient is its tolerance.
     for (Index p = 0; p < 4; ++p) {
       const bool held_low = mode(p) <= 0.0 && result.gradient(p) > 0.0,
                  held_high = mode(p) >= 1.0 && result.gradient(p) < 0.0;
@@ -267,8 +264,7 @@ class EstimationObjective final : public Objective {
     return params_.method == "prior" ? -params_.width_prior / (w + params_.width_offset) : 0.0;
   }
 
-  /// 1/2 of its square is what one independent measurement counts in the loss, which is that of one out of
-  /// `information_`.
+  /// The weight of the height term. The loss is that of one measurement, so the square is 1 / `information_`.
   double start_factor() const { return 1.0 / std::sqrt(information_); }
   double start_residual(ConstVec x) const {
     if (!has_start_height_) return 0.0;
@@ -280,21 +276,21 @@ class EstimationObjective final : public Objective {
     return start_factor() * (range.at(q + h) - range.at(q - h)) / (2.0 * h) / start_height_sigma_;
   }
 
-  /// The loss as 1/2 |r|^2: (x - mu) / sigma and sqrt(2 (1 + log(sigma / floor))) of every coordinate, then the rest.
+  /// The loss as 1/2 |r|^2. r holds (x - mu) / sigma and sqrt(2 (1 + log(sigma / floor))) of every coordinate, then the
+  /// prior on w and the height term.
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
                      bool with_jacobians, Evaluation& result) {
-    const auto seen = static_cast<Index>(history_.coordinates.size());
+    const Index seen = history_.coordinates.size();
     const Index rows = capabilities().residuals, n = x.cols();
     const double root = std::sqrt(per_coordinate_);
     result.residuals = Matrix::Zero(rows, n);
-    if (with_jacobians) result.jacobians.assign(static_cast<std::size_t>(n), Matrix::Zero(rows, dim()));
-    std::vector<std::vector<CaseDirection>> directions(static_cast<std::size_t>(n));
+    if (with_jacobians) result.jacobians.assign(n, Matrix::Zero(rows, dim()));
+    std::vector<std::vector<CaseDirection>> directions(n);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
       if (!std::isfinite(result.costs(i))) continue;
-      const auto& shapes = prediction.shapes()[at];
+      const auto& shapes = prediction.shapes()[i];
       for (Index k = 0; k < seen; ++k) {
-        const auto& c = history_.coordinates[static_cast<std::size_t>(k)];
+        const auto& c = history_.coordinates[k];
         const double deviation = std::sqrt(variance_of(shapes, c));
         result.residuals(k, i) = root * (c.position - shapes[c.shape].mean.data()[c.entry]) / deviation;
         result.residuals(seen + k, i) =
@@ -307,28 +303,27 @@ class EstimationObjective final : public Objective {
         CaseDirection direction;
         direction.controls = Controls::Zero(request_.controls.rows(), request_.controls.cols());
         (p < 4 ? direction.centre(p) : direction.width(p - 4)) = 1.0;
-        directions[at].push_back(std::move(direction));
+        directions[i].push_back(std::move(direction));
         if (p >= 4 && params_.method == "prior" && params_.width_prior > 0.0)
-          result.jacobians[at](2 * seen + p - 4, p) = prior_slope(x(p, i)) / result.residuals(2 * seen + p - 4, i);
+          result.jacobians[i](2 * seen + p - 4, p) = prior_slope(x(p, i)) / result.residuals(2 * seen + p - 4, i);
       }
-      if (has_start_height_) result.jacobians[at](2 * seen, kThickness) = start_slope(x(kThickness, i));
+      if (has_start_height_) result.jacobians[i](2 * seen, kThickness) = start_slope(x(kThickness, i));
     }
     if (!with_jacobians) return;
     const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, Moments::mean_and_sigma,
                                  {.step = params_.difference_step}, &evaluations_);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
       if (!std::isfinite(result.costs(i))) continue;
-      const auto& shapes = prediction.shapes()[at];
+      const auto& shapes = prediction.shapes()[i];
       for (Index k = 0; k < seen; ++k) {
-        const auto& c = history_.coordinates[static_cast<std::size_t>(k)];
+        const auto& c = history_.coordinates[k];
         const double s = shapes[c.shape].sigma.data()[c.entry], deviation = std::sqrt(variance_of(shapes, c));
         for (Index p = 0; p < dim(); ++p) {
-          const auto& change = derivatives[at][static_cast<std::size_t>(p)][c.shape];
+          const auto& change = derivatives[i][p][c.shape];
           const double d_log = change.sigma.data()[c.entry] * s / (deviation * deviation);  // of the total deviation
-          result.jacobians[at](k, p) = -root * change.mean.data()[c.entry] / deviation - result.residuals(k, i) * d_log;
+          result.jacobians[i](k, p) = -root * change.mean.data()[c.entry] / deviation - result.residuals(k, i) * d_log;
           if (deviation > kSigmaFloor)
-            result.jacobians[at](seen + k, p) = per_coordinate_ * d_log / result.residuals(seen + k, i);
+            result.jacobians[i](seen + k, p) = per_coordinate_ * d_log / result.residuals(seen + k, i);
         }
       }
     }
@@ -353,10 +348,10 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
                      std::shared_ptr<const Optimiser> optimiser, const EstimatorParams& params, Host& host)
     : task_(task), predictor_(std::move(predictor)), optimiser_(std::move(optimiser)), params_(params), host_(host) {
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
-    throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
+    throw Unsupported("the optimiser needs gradients, but the predictor has none; choose a gradient-free optimiser");
   }
   if (!params_.deviation_scale.empty()) {
-    require_shape("estimation: deviation_scale", static_cast<Index>(params_.deviation_scale.size()), 4);
+    require_shape("estimation: deviation_scale", params_.deviation_scale.size(), 4);
     deviation_scale_ = Eigen::Map<const Eigen::Vector4d>(params_.deviation_scale.data());
   }
 }
@@ -364,7 +359,7 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
 Estimate Estimator::estimate(const EstimateRequest& request) const {
   const auto started = std::chrono::steady_clock::now();
   require_shape("estimation: start", request.start->rows(), task_.garment->vertex_count());
-  require_shape("estimation: observations", static_cast<Index>(request.observations.size()), request.controls.rows());
+  require_shape("estimation: observations", request.observations.size(), request.controls.rows());
   if (!request.start->allFinite()) throw Error("estimation: the start shape is not finite");
   Estimate estimate;
   const History history = collect(request, task_.garment->vertex_count());
@@ -377,8 +372,8 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   Vector centre(objective.dim());
   centre.head<4>() = before.centre;
   if (centre.size() == 8) centre.tail<4>() = before.width;
-  // Instance 0 starts from the previous estimate itself, the others from it with noise of their own. One in four starts
-  // anywhere, though not in the paper's variant: the first segments may have pointed to the wrong side of a ridge.
+  // Instance 0 starts from the previous estimate, the others from it plus noise. Except in the paper's variant, one in
+  // four starts anywhere, because the first segments may have led to the wrong side of a ridge.
   const double noise = first ? params_.noise : params_.later_noise;
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {
@@ -404,13 +399,13 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
     estimate.losses.push_back(results[i].cost);
     if (results[i].cost < estimate.loss) {
       estimate.loss = results[i].cost;
-      estimate.instance = static_cast<Index>(i);
+      estimate.instance = i;
     }
   }
   if (!std::isfinite(estimate.loss))
     throw Error("estimation: no instance reached a finite loss: " + results.front().message);
   estimate.ended = search_end(results, estimate.instance);
-  const Vector& best = results[static_cast<std::size_t>(estimate.instance)].x;
+  const Vector& best = results[estimate.instance].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});
   objective.rate(prediction->shapes().front(), estimate);
   if (params_.method == "posterior") {

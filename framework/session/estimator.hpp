@@ -37,43 +37,43 @@ struct EstimatorParams {
     v("method", method, choice({"posterior", "prior", "plain"}),
       "plain: the paper's eq. 6 over c and w. prior: the same with a prior on w. posterior: q by eq. 6 at w = 0, then "
       "(c, w) as the interval of its posterior.");
-    v("instances", instances, range(1, 4096), "Searches that run side by side; the best residual loss wins.");
+    v("instances", instances, range(1, 4096), "Parallel searches; the one with the lowest residual loss wins.");
     v("iterations", iterations, range(0, 100000), "Optimiser iterations of the first estimate of a session.");
     v("later_iterations", later_iterations, range(0, 100000), "Optimiser iterations of later estimates.");
     v("noise", noise, range(0, 10), "Gaussian noise on the starts of the first estimate.");
     v("later_noise", later_noise, range(0, 10), "The same for later estimates.");
     v("width_prior", width_prior, range(0, 10),
-      "prior: lambda of -lambda sum_p log(w_p + width_offset), beside the mean loss per coordinate.");
-    v("width_offset", width_offset, range(1e-6, 1), "prior: keeps its logarithm finite at w = 0.");
+      "prior: lambda of -lambda sum_p log(w_p + width_offset), added to the mean loss per coordinate.");
+    v("width_offset", width_offset, range(1e-6, 1), "prior: keeps the logarithm finite at w = 0.");
     v("effective_coordinates", effective_coordinates, range(1e-3, 1e9),
-      "posterior: independent measurements that the coordinates of one shape are worth.");
+      "posterior: number of independent measurements in one shape.");
     v("shape_correlation", shape_correlation, range(0, 1),
-      "posterior: correlation rho of the predictor's errors between the shapes of a sequence: n shapes are worth "
+      "posterior: correlation rho of the predictor's errors between the shapes of a sequence. n shapes count as "
       "n / (1 + (n - 1) rho).");
     v("misfit_prior", misfit_prior, range(0, 1e9),
-      "posterior: measurements' worth of belief that sigma is right, against what the residuals say; 1e9: it is.");
+      "posterior: weight, in measurements, of the prior that sigma is right, against the residuals; 1e9: trust sigma.");
     v("start_height_sigma_m", start_height_sigma_m, range(0, 1, "m"),
-      "posterior: the start shape lies flat, at the thickness of the cloth, up to this and to the declared errors of "
-      "the observation; 0: do not use that.");
+      "posterior: standard deviation of the start shape's height from that of flat cloth, besides the declared errors "
+      "of the observation. The height tells the thickness. 0: do not use it.");
     v("difference_step", difference_step, range(1e-6, 0.5),
-      "posterior: step of the differences that give its precision.");
+      "posterior: step of the finite differences for the precision.");
     v("deviation_scale", deviation_scale, range(1e-3, 1e3),
-      "posterior: factors on its standard deviations; default 1. `weft evaluate estimation` reports those that "
-      "calibrate it.",
+      "posterior: factors on the standard deviations; default 1. `weft evaluate estimation` reports factors that "
+      "calibrate them.",
       property_list());
   }
 };
 
-/// What was done and seen since the start of a session.
+/// Controls and observations since the start of a session.
 struct EstimateRequest {
-  std::shared_ptr<const Positions> start;                        ///< [V, 3] m: s_0, whole
+  std::shared_ptr<const Positions> start;                        ///< [V, 3] m: s_0, all vertices
   Vector state;                                                  ///< [S] at the start
   Controls controls;                                             ///< [i, C]: m_0 ... m_{i-1}
   std::vector<std::shared_ptr<const Observation>> observations;  ///< [i]: s_1 ... s_i
   double start_sigma = 0.0;                                      ///< m: measurement noise of s_0, per coordinate
-  double start_height_sigma = 0.0;                               ///< m: of the error that its heights have in common
-  std::optional<MaterialKnowledge> previous;                     ///< the preceding estimate
-  Index round = 0;                                               ///< which estimate of the session; keys the noise
+  double start_height_sigma = 0.0;                               ///< m: of the error shared by all heights of s_0
+  std::optional<MaterialKnowledge> previous;                     ///< the previous estimate
+  Index round = 0;                                               ///< number of the estimate; keys the noise
   std::uint64_t seed = 0;
 };
 
@@ -91,30 +91,29 @@ struct Estimate {
   double seconds = 0.0;
 };
 
-/// Material estimation (section 5, eq. 6): the knowledge under which what was seen is likeliest. Always from s_0 and
-/// the whole history.
+/// Material estimation (section 5, eq. 6): finds the knowledge with the highest likelihood of the observations. Every
+/// estimate uses s_0 and the whole history.
 ///
-/// Eq. 6 by itself is a type-II likelihood: p(s | c, w) is the mean of p(s | q) over the interval, and no mean exceeds
-/// its largest term. So its maximum lies at w = 0 whatever the data, and the widths that `plain` finds are what the
-/// network's misfit leaves: they say little about how sure one can be. Besides, eq. 6 takes the errors of thousands of
-/// coordinates for independent, which they are not: they come from a handful of smooth modes.
+/// Eq. 6 by itself is a type-II likelihood: p(s | c, w) is the mean of p(s | q) over the interval. A mean never exceeds
+/// its largest term, so the maximum lies at w = 0 for any data. The widths of `plain` come from the network's misfit
+/// and do not measure uncertainty. Eq. 6 also treats the errors of thousands of coordinates as independent. In fact
+/// they come from a handful of smooth modes.
 ///
-/// `posterior` keeps eq. 6 as the likelihood of one material, L(q) at (c, w) = (q, 0), and widens where the paper
-/// collapses: with the uniform prior of section 3 the density of q given what was seen is exp(-n L(q)), n the number of
-/// independent measurements that the shapes are worth. It is approximated by a normal distribution on the box (Laplace,
-/// precision of Gauss-Newton), and (c, w) is the interval that stands for it (interval_of).
+/// `posterior` uses eq. 6 as the likelihood of one material, L(q) at (c, w) = (q, 0). With the uniform prior of section
+/// 3 the posterior density of q is proportional to exp(-n L(q)), where n is the number of independent measurements in
+/// the shapes. It is approximated by a normal distribution on the box (Laplace, with the precision of Gauss-Newton).
+/// (c, w) is the interval of that distribution (interval_of).
 class Estimator {
  public:
-  /// @throws Unsupported when the optimiser needs gradients that the predictor lacks; ShapeError for a
-  /// deviation_scale of the wrong length.
+  /// @throws Unsupported if the optimiser needs gradients that the predictor lacks; ShapeError for a deviation_scale of
+  /// the wrong length.
   Estimator(const Task& task, std::shared_ptr<const Predictor> predictor, std::shared_ptr<const Optimiser> optimiser,
             const EstimatorParams& params, Host& host);
-  /// Without segments, or with nothing observed, the answer is "no knowledge".
-  /// @throws ShapeError; Error for positions that are marked as observed and not finite, or when no instance reached a
-  /// finite loss.
+  /// Without segments, or without an observed vertex, returns MaterialKnowledge::none().
+  /// @throws ShapeError; Error if an observed position is not finite, or if no instance reached a finite loss.
   Estimate estimate(const EstimateRequest& request) const;
   const EstimatorParams& params() const { return params_; }
-  /// Longest history that the predictor takes; estimate() of more throws its ShapeError. nullopt: no limit.
+  /// Longest history that the predictor accepts; for a longer one estimate() throws its ShapeError. nullopt: no limit.
   std::optional<Index> max_segments() const { return predictor_->max_segments(); }
 
  private:

@@ -23,23 +23,23 @@ Positions final_shape_of(const std::filesystem::path& session_file, const Garmen
 }  // namespace
 
 PropertyVector property_vector(const std::vector<double>& values) {
-  require_shape("material properties", static_cast<Index>(values.size()), 4);
+  require_shape("material properties", values.size(), 4);
   return Eigen::Map<const Eigen::Vector4d>(values.data());
 }
 
 Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Index horizon) {
   const auto variables = trajectory.controls();
-  const auto columns = static_cast<Index>(variables.size());
+  const Index columns = variables.size();
   if (!node.is_sequence() || node.size() == 0)
     must_be(node, "a list of rows of " + std::to_string(columns) + " numbers");
   const auto read_row = [&](const ConfigNode& row) {
-    if (static_cast<Index>(row.size()) != columns) {
+    if (std::ssize(row) != columns) {
       row.fail("has " + std::to_string(row.size()) + " numbers, must have " + std::to_string(columns));
     }
     Vector values(columns);
     for (Index c = 0; c < columns; ++c) {
-      const auto& variable = variables[static_cast<std::size_t>(c)];
-      const ConfigNode entry = row[static_cast<std::size_t>(c)];
+      const auto& variable = variables[c];
+      const ConfigNode entry = row[c];
       values(c) = entry.as_double();
       if (!(values(c) >= variable.lower && values(c) <= variable.upper)) {
         must_be(entry, "in [" + ConfigNode::number(variable.lower).as_string() + ", " +
@@ -54,8 +54,8 @@ Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Ind
     controls.rowwise() = read_row(node).transpose();
     return controls;
   }
-  Controls controls(static_cast<Index>(node.size()), columns);
-  for (Index j = 0; j < controls.rows(); ++j) controls.row(j) = read_row(node[static_cast<std::size_t>(j)]).transpose();
+  Controls controls(node.size(), columns);
+  for (Index j = 0; j < controls.rows(); ++j) controls.row(j) = read_row(node[j]).transpose();
   return controls;
 }
 
@@ -67,7 +67,8 @@ SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const 
   if (!params.controls.is_null()) given.push_back("goal.controls");
   if (given.empty()) return goal;
   const ConfigNode node = place(origin, given.back());
-  if (given.size() > 1) node.fail("is given beside " + given.front() + "; at most one of obj, example and controls");
+  if (given.size() > 1)
+    node.fail("is given together with " + given.front() + "; give at most one of obj, example and controls");
   if (!params.controls.is_null()) {
     goal.controls = read_controls(params.controls, *task.trajectory, params.horizon);
     return goal;
@@ -115,7 +116,7 @@ SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& t
     }
     if (goal.shape.rows() == 0) {
       throw Error("goal: none of " + std::to_string(random_goal.attempts) + " random trajectories ended " +
-                  std::to_string(random_goal.min_distance_mm) + " mm or more from what the default control gives");
+                  std::to_string(random_goal.min_distance_mm) + " mm or more from the result of the default control");
     }
   }
   return goal;

@@ -12,7 +12,7 @@
 
 namespace weft {
 
-/// Goal of a session: exactly one of the four.
+/// Goal of a session: exactly one of obj, example, controls and random.
 struct GoalParams {
   std::filesystem::path obj;
   std::filesystem::path example;
@@ -24,7 +24,7 @@ struct GoalParams {
     template <class Visitor>
     void visit(Visitor& v) {
       v("min_distance_mm", min_distance_mm, range(0, 1000, "mm"),
-        "Least mean distance from what the default control gives.");
+        "Smallest mean distance from the result of the default control.");
       v("attempts", attempts, range(1, 100000), "Random trajectories to try before giving up.");
       v.group("distribution", distribution, "The random trajectories.");
     }
@@ -35,39 +35,39 @@ struct GoalParams {
   template <class Visitor>
   void visit(Visitor& v) {
     v("obj", obj, "A mesh of the garment in its goal shape.");
-    v("example", example, "A recorded session (session.h5): its final shape.");
+    v("example", example, "A recorded session (session.h5); its final shape is the goal.");
     v("controls", controls, "Controls to simulate: a list of rows, or one row repeated until release.");
-    v.group("random", random, "A random trajectory's result; used when nothing else is given.");
+    v.group("random", random, "The result of a random trajectory; used if no other goal is given.");
     v("material", material, range(0, 1),
-      "Material under which controls are simulated; default: the true one; where nobody knows it, 0.5 of each.",
+      "Material for the simulation of a goal; default: the true material, or 0.5 each if it is unknown.",
       property_list());
     v("horizon", horizon, range(1, 200, "segments"),
-      "Longest trajectory of a simulated goal and of the default control; apart from planning.horizon, so that "
-      "planners with another one get the same goal.");
+      "Longest trajectory of a simulated goal and of the default control. It is not planning.horizon, so that planners "
+      "with different horizons get the same goal.");
   }
 };
 
 struct SessionGoal {
   Positions shape;          ///< [V, 3] m
-  Positions default_shape;  ///< [V, 3] m: what the default control gives
+  Positions default_shape;  ///< [V, 3] m: the result of the default control
   Controls controls;        ///< [k, C] of a goal that was simulated, else 0 rows
 };
 
-/// q from a list of a config. @throws ShapeError unless it has four numbers.
+/// q from a list in a config. @throws ShapeError unless it has four numbers.
 PropertyVector property_vector(const std::vector<double>& values);
 
 /// Rows of controls from the config: a list of rows, or one row that is repeated `horizon` times.
-/// @return [k, C]. @throws ConfigError for a row of another length, a number out of the control's bounds.
+/// @return [k, C]. @throws ConfigError for a row of the wrong length or a number outside the control's bounds.
 Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Index horizon);
 
-/// The goal as far as it is given: a shape, or controls, or neither. Simulates nothing.
-/// @param origin what holds `goal`, for messages. @throws ConfigError.
+/// Reads the goal's shape or controls, if given. Simulates nothing.
+/// @param origin the node with `goal`, for messages. @throws ConfigError.
 SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const Task& task);
 
-/// Simulates what read_goal() left open: the goal, and what the default control gives.
-/// @param given from read_goal(). @param seed draws a random goal.
-/// @param true_material nullopt: nobody knows it. goal.material takes its place, or else the middle of every range.
-/// @throws Error when no random trajectory gives a goal; Diverged.
+/// Simulates the goal, unless read_goal() has its shape, and the result of the default control.
+/// @param given from read_goal(). @param seed of a random goal.
+/// @param true_material nullopt: unknown; goal.material replaces it, or else the middle of every range.
+/// @throws Error if no random trajectory gives a goal; Diverged.
 SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& task, std::uint64_t seed,
                       const std::optional<MaterialProperties>& true_material, Host& host);
 

@@ -25,7 +25,7 @@ class Rows final : public Prediction {
  private:
   template <class T>
   std::vector<std::vector<T>> spread(const std::vector<std::vector<T>>& per_case) const {
-    require_shape("instance rows: cases", static_cast<Index>(per_case.size()), static_cast<Index>(rows_.size()));
+    require_shape("instance rows: cases", per_case.size(), rows_.size());
     std::vector<std::vector<T>> per_row(count_);
     for (std::size_t i = 0; i < rows_.size(); ++i) per_row[rows_[i]] = per_case[i];
     return per_row;
@@ -48,22 +48,22 @@ class Rows final : public Prediction {
 std::unique_ptr<Prediction> predict_in_rows(const Predictor& predictor, const std::vector<PredictionCase>& cases,
                                             const std::vector<Index>& instances, Index count,
                                             const PredictionRequest& request) {
-  require_shape("instance rows: instances", static_cast<Index>(instances.size()), static_cast<Index>(cases.size()));
+  require_shape("instance rows: instances", instances.size(), cases.size());
   if (!std::is_sorted(instances.begin(), instances.end()) ||
       (!instances.empty() && (instances.front() < 0 || instances.back() >= count)))
     throw Error("instance rows: instances must ascend within [0, " + std::to_string(count) + ")");
   if (predictor.capabilities().deterministic || cases.empty()) return predictor.predict(cases, request);
 
-  std::vector<std::size_t> ordinal(cases.size(), 0);  // of a case among those of its instance
+  std::vector<std::size_t> ordinal(cases.size(), 0);  // of each case among the cases of its instance
   for (std::size_t i = 1; i < cases.size(); ++i)
     if (instances[i] == instances[i - 1]) ordinal[i] = ordinal[i - 1] + 1;
   const std::size_t each = *std::max_element(ordinal.begin(), ordinal.end()) + 1;
   PredictionCase padding = cases.front();
   padding.segments.clear();
-  std::vector<PredictionCase> batch(each * static_cast<std::size_t>(count), padding);
+  std::vector<PredictionCase> batch(each * count, padding);
   std::vector<std::size_t> rows;
   for (std::size_t i = 0; i < cases.size(); ++i) {
-    rows.push_back(each * static_cast<std::size_t>(instances[i]) + ordinal[i]);
+    rows.push_back(each * instances[i] + ordinal[i]);
     batch[rows.back()] = cases[i];
   }
   auto all = predictor.predict(batch, request);

@@ -22,13 +22,117 @@ double reach(const PropertyVector& value, const PropertyVector& rate, double wan
 }
 
 void check(const std::vector<PredictionCase>& cases, const std::vector<std::vector<CaseDirection>>& directions) {
-  require_shape("jvp: directions", static_cast<Index>(directions.size()), static_cast<Index>(cases.size()));
+  require_shape("jvp: directions", directions.size(), cases.size());
   for (std::size_t i = 0; i < cases.size(); ++i) {
     for (const auto& d : directions[i]) {
       require_shape("jvp: rows of a direction", d.controls.rows(), cases[i].controls.rows());
       require_shape("jvp: columns of a direction", d.controls.cols(), cases[i].controls.cols());
     }
   }
+}
+
+/// Step along a direction whose largest change, of a control in units of `scale`, is `options.step`.
+double step_along(const CaseDirection& direction, const Vector& scale, const JvpOptions& options) {
+  double largest = std::max(direction.centre.cwiseAbs().maxCoeff(), direction.width.cwiseAbs().maxCoeff());
+  for (Index c = 0; c < direction.controls.cols(); ++c)
+    for (Index j = 0; j < direction.controls.rows(); ++j)
+      largest = std::max(largest, std::abs(direction.controls(j, c)) / scale(c));
+  return largest > 0.0 ? options.step / largest : 0.0;
+}
+
+/// The sides of all differences of the cases that have a result, in pairs: up, down.
+std::vector<Side> sides_of(const Prediction& prediction, const std::vector<PredictionCase>& cases,
+                           const std::vector<std::vector<CaseDirection>>& directions, const Trajectory& trajectory,
+                           const JvpOptions& options) {
+  const auto controls = trajectory.controls();
+  Vector scale(controls.size());
+  for (Index c = 0; c < scale.size(); ++c) scale(c) = controls[c].scale;
+
+  std::vector<Side> sides;
+  for (std::size_t i = 0; i < cases.size(); ++i) {
+    if (!prediction.failure(i).empty()) continue;
+    for (std::size_t d = 0; d < directions[i].size(); ++d) {
+      const auto& direction = directions[i][d];
+      const double step = step_along(direction, scale, options);
+      const auto& q = cases[i].knowledge;
+      const double up = std::min(reach(q.centre, direction.centre, step), reach(q.width, direction.width, step));
+      const double down = std::min(reach(q.centre, -direction.centre, step), reach(q.width, -direction.width, step));
+      sides.push_back({i, d, up});
+      sides.push_back({i, d, -down});
+    }
+  }
+  return sides;
+}
+
+PredictionCase perturbed(const PredictionCase& base, const CaseDirection& direction, double amount) {
+  PredictionCase one = base;
+  one.controls += amount * direction.controls;
+  one.knowledge.centre += amount * direction.centre;
+  one.knowledge.width += amount * direction.width;
+  // Rounding may leave [0, 1] by a bit; a centre or width that was outside before is left alone.
+  for (Index p = 0; p < 4; ++p) {
+    if (direction.centre(p) != 0.0) one.knowledge.centre(p) = std::clamp(one.knowledge.centre(p), 0.0, 1.0);
+    if (direction.width(p) != 0.0) one.knowledge.width(p) = std::clamp(one.knowledge.width(p), 0.0, 1.0);
+  }
+  return one;
+}
+
+/// Shapes of every side; empty where there is none.
+/// @param predicted as in jvp().
+std::vector<std::vector<ShapeDistribution>> predict_sides(const Predictor& predictor, const std::vector<Side>& sides,
+                                                          const std::vector<PredictionCase>& cases,
+                                                          const std::vector<std::vector<CaseDirection>>& directions,
+                                                          Moments moments, const JvpOptions& options,
+                                                          Index* predicted) {
+  std::vector<std::vector<ShapeDistribution>> shapes(sides.size());
+  const std::size_t batch = std::max<Index>(1, options.batch);
+  std::vector<std::size_t> wanted;
+  for (std::size_t k = 0; k < sides.size(); ++k)
+    if (sides[k].amount != 0.0) wanted.push_back(k);
+  // Where bits depend on the batch, every case has batches of its own.
+  const bool mixed = predictor.capabilities().deterministic;
+  for (std::size_t first = 0, last = 0; first < wanted.size(); first = last) {
+    while (last < wanted.size() && last - first < batch &&
+           (mixed || sides[wanted[last]].instance == sides[wanted[first]].instance))
+      ++last;
+    std::vector<PredictionCase> moved;
+    for (std::size_t k = first; k < last; ++k) {
+      const Side& side = sides[wanted[k]];
+      moved.push_back(perturbed(cases[side.instance], directions[side.instance][side.direction], side.amount));
+    }
+    const auto there = predictor.predict(moved, {.moments = moments, .gradients = false});
+    if (predicted != nullptr) *predicted += moved.size();
+    for (std::size_t k = first; k < last; ++k)
+      if (there->failure(k - first).empty()) shapes[wanted[k]] = there->shapes()[k - first];
+  }
+  return shapes;
+}
+
+/// The derivatives of a case along one direction.
+/// @param base,up_shapes,down_shapes shapes of the case and of its two sides; empty where a side has none.
+/// @param up_amount,down_amount multiples of the direction at which the sides lie.
+std::vector<ShapeCotangent> difference(const std::vector<ShapeDistribution>& base,
+                                       const std::vector<ShapeDistribution>& up_shapes, double up_amount,
+                                       const std::vector<ShapeDistribution>& down_shapes, double down_amount,
+                                       Moments moments) {
+  const bool has_up = !up_shapes.empty(), has_down = !down_shapes.empty();
+  const double length = (has_up ? up_amount : 0.0) - (has_down ? down_amount : 0.0);
+  const auto& up = has_up ? up_shapes : base;
+  const auto& down = has_down ? down_shapes : base;
+  // A direction of zeros has derivative zero; one without any neighbour has none.
+  const bool is_zero = up_amount == 0.0 && down_amount == 0.0;
+  std::vector<ShapeCotangent> derivatives;
+  for (std::size_t s = 0; s < base.size(); ++s) {
+    ShapeCotangent one;
+    one.mean = is_zero ? Positions::Zero(base[s].mean.rows(), 3) : Positions((up[s].mean - down[s].mean) / length);
+    if (moments == Moments::mean_and_sigma)
+      one.sigma =
+          is_zero ? Positions::Zero(base[s].sigma.rows(), 3) : Positions((up[s].sigma - down[s].sigma) / length);
+    else
+      one.sigma.resize(0, 3);
+    derivatives.push_back(std::move(one));
+  }
+  return derivatives;
 }
 
 }  // namespace
@@ -41,85 +145,18 @@ std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predi
   check(cases, directions);
   if (predictor.capabilities().jvp) return prediction.jvp(directions);
 
-  Vector scale(static_cast<Index>(trajectory.controls().size()));
-  for (Index c = 0; c < scale.size(); ++c) scale(c) = trajectory.controls()[static_cast<std::size_t>(c)].scale;
-
   std::vector<std::vector<std::vector<ShapeCotangent>>> result(cases.size());
-  std::vector<Side> sides;  // pairs: up, down
   for (std::size_t i = 0; i < cases.size(); ++i) {
     result[i].resize(directions[i].size());
-    if (!prediction.failure(i).empty()) {
-      for (auto& one : result[i]) one.resize(cases[i].segments.size());
-      continue;
-    }
-    for (std::size_t d = 0; d < directions[i].size(); ++d) {
-      const auto& direction = directions[i][d];
-      double largest = std::max(direction.centre.cwiseAbs().maxCoeff(), direction.width.cwiseAbs().maxCoeff());
-      for (Index c = 0; c < direction.controls.cols(); ++c)
-        for (Index j = 0; j < direction.controls.rows(); ++j)
-          largest = std::max(largest, std::abs(direction.controls(j, c)) / scale(c));
-      const double step = largest > 0.0 ? options.step / largest : 0.0;
-      const auto& q = cases[i].knowledge;
-      const double up = std::min(reach(q.centre, direction.centre, step), reach(q.width, direction.width, step));
-      const double down = std::min(reach(q.centre, -direction.centre, step), reach(q.width, -direction.width, step));
-      sides.push_back({i, d, up});
-      sides.push_back({i, d, -down});
-    }
+    if (prediction.failure(i).empty()) continue;
+    for (auto& one : result[i]) one.resize(cases[i].segments.size());
   }
-
-  // Shapes of every side; empty where there is none.
-  std::vector<std::vector<ShapeDistribution>> shapes(sides.size());
-  const auto batch = static_cast<std::size_t>(std::max<Index>(1, options.batch));
-  std::vector<std::size_t> wanted;
-  for (std::size_t k = 0; k < sides.size(); ++k)
-    if (sides[k].amount != 0.0) wanted.push_back(k);
-  // Where bits depend on the batch, every case has batches of its own.
-  const bool mixed = predictor.capabilities().deterministic;
-  for (std::size_t first = 0, last = 0; first < wanted.size(); first = last) {
-    while (last < wanted.size() && last - first < batch &&
-           (mixed || sides[wanted[last]].instance == sides[wanted[first]].instance))
-      ++last;
-    std::vector<PredictionCase> perturbed;
-    for (std::size_t k = first; k < last; ++k) {
-      const Side& side = sides[wanted[k]];
-      const auto& direction = directions[side.instance][side.direction];
-      PredictionCase one = cases[side.instance];
-      one.controls += side.amount * direction.controls;
-      one.knowledge.centre += side.amount * direction.centre;
-      one.knowledge.width += side.amount * direction.width;
-      // Rounding may leave [0, 1] by a bit; a centre or width that was outside before is left alone.
-      for (Index p = 0; p < 4; ++p) {
-        if (direction.centre(p) != 0.0) one.knowledge.centre(p) = std::clamp(one.knowledge.centre(p), 0.0, 1.0);
-        if (direction.width(p) != 0.0) one.knowledge.width(p) = std::clamp(one.knowledge.width(p), 0.0, 1.0);
-      }
-      perturbed.push_back(std::move(one));
-    }
-    const auto there = predictor.predict(perturbed, {.moments = moments, .gradients = false});
-    if (predicted != nullptr) *predicted += static_cast<Index>(perturbed.size());
-    for (std::size_t k = first; k < last; ++k)
-      if (there->failure(k - first).empty()) shapes[wanted[k]] = there->shapes()[k - first];
-  }
-
+  const std::vector<Side> sides = sides_of(prediction, cases, directions, trajectory, options);
+  const auto shapes = predict_sides(predictor, sides, cases, directions, moments, options, predicted);
   for (std::size_t k = 0; k < sides.size(); k += 2) {
-    const std::size_t i = sides[k].instance;
-    const auto& base = prediction.shapes()[i];
-    const bool has_up = !shapes[k].empty(), has_down = !shapes[k + 1].empty();
-    const double length = (has_up ? sides[k].amount : 0.0) - (has_down ? sides[k + 1].amount : 0.0);
-    const auto& up = has_up ? shapes[k] : base;
-    const auto& down = has_down ? shapes[k + 1] : base;
-    // A direction of zeros has derivative zero; one without any neighbour has none.
-    const bool is_zero = sides[k].amount == 0.0 && sides[k + 1].amount == 0.0;
-    auto& derivatives = result[i][sides[k].direction];
-    for (std::size_t s = 0; s < base.size(); ++s) {
-      ShapeCotangent one;
-      one.mean = is_zero ? Positions::Zero(base[s].mean.rows(), 3) : Positions((up[s].mean - down[s].mean) / length);
-      if (moments == Moments::mean_and_sigma)
-        one.sigma =
-            is_zero ? Positions::Zero(base[s].sigma.rows(), 3) : Positions((up[s].sigma - down[s].sigma) / length);
-      else
-        one.sigma.resize(0, 3);
-      derivatives.push_back(std::move(one));
-    }
+    const Side &up = sides[k], &down = sides[k + 1];
+    result[up.instance][up.direction] =
+        difference(prediction.shapes()[up.instance], shapes[k], up.amount, shapes[k + 1], down.amount, moments);
   }
   return result;
 }

@@ -4,13 +4,14 @@
 #include <cmath>
 #include <vector>
 
+#include "sdk/quantile.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
 namespace {
 
 constexpr int kBurnIn = 50;
-constexpr double kLeastPrecision = 1e-4;  // sd of 100 boxes: uniform for all purposes
+constexpr double kLeastPrecision = 1e-4;  // sd of 100 boxes: in effect uniform
 
 /// Standard normal given low <= z <= high [Robert 1995, "Simulation of truncated normal variables"].
 double truncated_normal(double low, double high, RandomStream& random) {
@@ -41,19 +42,12 @@ double truncated_normal(double low, double high, RandomStream& random) {
   }
 }
 
-double quantile(const std::vector<double>& sorted, double at) {
-  const double place = at * static_cast<double>(sorted.size() - 1);
-  const auto below = static_cast<std::size_t>(place);
-  const std::size_t above = std::min(below + 1, sorted.size() - 1);
-  return sorted[below] + (place - static_cast<double>(below)) * (sorted[above] - sorted[below]);
-}
-
 }  // namespace
 
 MaterialPosterior MaterialPosterior::widened(const PropertyVector& factor) const {
   MaterialPosterior wide = *this;
   for (Index p = 0; p < 4; ++p) {
-    // A gradient that holds the mode against a bound belongs to the same log-likelihood as the precision.
+    // Gradient and precision belong to the same log-likelihood, so both are scaled.
     wide.gradient(p) /= factor(p) * factor(p);
     for (Index r = 0; r < 4; ++r) wide.precision(p, r) /= factor(p) * factor(r);
   }
@@ -65,7 +59,7 @@ MaterialKnowledge interval_of(const MaterialPosterior& posterior, int sweeps) {
   PropertyVector sd;
   for (Index p = 0; p < 4; ++p) sd(p) = 1.0 / std::sqrt(std::max(precision(p, p), kLeastPrecision));
   std::array<std::vector<double>, 4> samples;
-  for (auto& list : samples) list.reserve(static_cast<std::size_t>(sweeps));
+  for (auto& list : samples) list.reserve(sweeps);
   RandomStream random(stream_key("post"));
   PropertyVector q = posterior.mode;
   for (int sweep = -kBurnIn; sweep < sweeps; ++sweep) {
@@ -77,12 +71,12 @@ MaterialKnowledge interval_of(const MaterialPosterior& posterior, int sweeps) {
       const double mean = posterior.mode(p) - slope * sd(p) * sd(p);
       q(p) = mean + sd(p) * truncated_normal(-mean / sd(p), (1.0 - mean) / sd(p), random);
       q(p) = std::clamp(q(p), 0.0, 1.0);
-      if (sweep >= 0) samples[static_cast<std::size_t>(p)].push_back(q(p));
+      if (sweep >= 0) samples[p].push_back(q(p));
     }
   }
   MaterialKnowledge knowledge;
   for (Index p = 0; p < 4; ++p) {
-    auto& list = samples[static_cast<std::size_t>(p)];
+    auto& list = samples[p];
     std::sort(list.begin(), list.end());
     const double low50 = quantile(list, 0.25), high50 = quantile(list, 0.75);
     const double low80 = quantile(list, 0.1), high80 = quantile(list, 0.9);

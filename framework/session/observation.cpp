@@ -24,7 +24,7 @@ Observation observe_shape(const Positions& shape, const ObservationParams& param
   if (params.hidden_share > 0.0 || params.lost_share > 0.0) {
     RandomStream hidden(seed, kHiddenStream);
     RandomStream lost = streams.child(1);
-    seen.observed.resize(static_cast<std::size_t>(shape.rows()));
+    seen.observed.resize(shape.rows());
     for (std::size_t v = 0; v < seen.observed.size(); ++v) {
       const bool is_hidden = hidden.uniform() < params.hidden_share, is_lost = lost.uniform() < params.lost_share;
       seen.observed[v] = !is_hidden && !is_lost;

@@ -11,15 +11,15 @@
 namespace weft {
 namespace {
 
-constexpr double kSquareMm = 1e6;  // m^2 to mm^2: losses are of order 1 to 1e4 then
+constexpr double kSquareMm = 1e6;  // m^2 to mm^2, so that losses are between 1 and 1e4
 
-/// d progress / d state by central differences: progress is a smooth scalar of a handful of state variables, and its
-/// gradient is not worth a place in every trajectory plugin.
+/// d progress / d state by central differences. Progress is a smooth function of a handful of state variables, so
+/// trajectory plugins need not write its gradient.
 Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
   const auto variables = trajectory.state();
   Vector gradient(state.size());
   for (Index s = 0; s < state.size(); ++s) {
-    const double step = 1e-4 * variables[static_cast<std::size_t>(s)].scale;
+    const double step = 1e-4 * variables[s].scale;
     Vector up = state, down = state;
     up(s) += step;
     down(s) -= step;
@@ -51,17 +51,17 @@ class PlanningObjective final : public Objective {
         range_(predictor.control_range()) {}
 
   Index dim() const override { return task_.trajectory->decision_size(horizon_); }
-  /// Residuals: the shape's (3 V; as many of sigma with loss: expected), then those of the activity loss.
+  /// Residuals: 3 V of the shape, with `loss: expected` also 3 V of sigma, then those of the activity loss.
   /// Cost = 1/2 |r|^2 up to rounding.
   ObjectiveCapabilities capabilities() const override {
-    const auto controls = static_cast<Index>(task_.trajectory->controls().size());
+    const Index controls = task_.trajectory->controls().size();
     return {.gradients = predictor_.capabilities().gradients,
             .residuals = shape_rows() + (horizon_ - 1) * controls + horizon_};
   }
 
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override {
     require_shape("planning objective: x rows", x.rows(), dim());
-    require_shape("planning objective: instances", static_cast<Index>(instances.size()), x.cols());
+    require_shape("planning objective: instances", instances.size(), x.cols());
     if (wanted.gradients && !capabilities().gradients)
       throw Unsupported("planning objective: the predictor has no gradients");
     const Index n = x.cols();
@@ -76,38 +76,36 @@ class PlanningObjective final : public Objective {
 
     Evaluation result;
     result.costs.resize(n);
-    std::vector<std::vector<ShapeCotangent>> cotangents(static_cast<std::size_t>(n));
-    std::vector<Controls> d_activity(static_cast<std::size_t>(n));
+    std::vector<std::vector<ShapeCotangent>> cotangents(n);
+    std::vector<Controls> d_activity(n);
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
-      cotangents[at].resize(1);
-      if (!prediction->failure(at).empty()) {
+      cotangents[i].resize(1);
+      if (!prediction->failure(i).empty()) {
         result.costs(i) = std::numeric_limits<double>::infinity();
         continue;
       }
       // Row v is weighted by the vertex's weight, once for the loss and once for its gradient.
-      const auto& shape = prediction->shapes()[at].front();
+      const auto& shape = prediction->shapes()[i].front();
       const Positions difference = shape.mean - *request_.goal;
       const Positions weighted = weights_.asDiagonal() * difference;
       const double weight = kSquareMm / static_cast<double>(difference.size());
-      const Index u = cases[at].segments.front();
-      const double activity = activity_loss(task_, request_.state, cases[at].controls, u, params_.slowness_weight,
-                                            wanted.gradients ? &d_activity[at] : nullptr);
+      const Index u = cases[i].segments.front();
+      const double activity = activity_loss(task_, request_.state, cases[i].controls, u, params_.slowness_weight,
+                                            wanted.gradients ? &d_activity[i] : nullptr);
       result.costs(i) = weight * weighted.cwiseProduct(difference).sum() + params_.activity_weight * activity;
-      if (wanted.gradients) cotangents[at].front().mean = 2.0 * weight * weighted;
+      if (wanted.gradients) cotangents[i].front().mean = 2.0 * weight * weighted;
       if (moments_ == Moments::mean) continue;
       // E |x - s*|^2 = |mu - s*|^2 + sigma^2
       const Positions weighted_sigma = weights_.asDiagonal() * shape.sigma;
       result.costs(i) += weight * weighted_sigma.cwiseProduct(shape.sigma).sum();
-      if (wanted.gradients) cotangents[at].front().sigma = 2.0 * weight * weighted_sigma;
+      if (wanted.gradients) cotangents[i].front().sigma = 2.0 * weight * weighted_sigma;
     }
     if (wanted.gradients) {
       const auto gradients = prediction->pullback(cotangents);
       result.gradients = Matrix::Zero(dim(), n);
       for (Index i = 0; i < n; ++i) {
-        const auto at = static_cast<std::size_t>(i);
         if (!std::isfinite(result.costs(i))) continue;
-        Controls total = gradients[at].controls + params_.activity_weight * d_activity[at];
+        Controls total = gradients[i].controls + params_.activity_weight * d_activity[i];
         limit_gradient(x.col(i), total);
         result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
       }
@@ -116,7 +114,7 @@ class PlanningObjective final : public Objective {
     return result;
   }
 
-  /// The case of one decision vector: only the shape after the release segment u (eq. 5) is asked for.
+  /// The case of one decision vector. It requests only the shape after the release segment u (eq. 5).
   PredictionCase make_case(ConstVec x) const {
     PredictionCase one{.shape = request_.shape, .previous = request_.previous, .state = request_.state};
     one.controls = decode(x);
@@ -124,7 +122,7 @@ class PlanningObjective final : public Objective {
     one.segments = {task_.trajectory->release_segment(task_.manipulation, request_.state, one.controls)};
     return one;
   }
-  /// Controls of a decision vector, inside the range that the predictor knows.
+  /// Controls of a decision vector, clamped to the predictor's control range.
   Controls decode(ConstVec x) const {
     Controls controls = task_.trajectory->decode(x, horizon_, request_.state);
     if (range_) {
@@ -136,7 +134,7 @@ class PlanningObjective final : public Objective {
   Index evaluations() const { return evaluations_; }
 
  private:
-  /// A control that was cut off moves nothing outwards; inwards it may move.
+  /// A clamped control gets no gradient outwards, but keeps one inwards.
   void limit_gradient(ConstVec x, Controls& gradient) const {
     if (!range_) return;
     const Controls wanted = task_.trajectory->decode(x, horizon_, request_.state);
@@ -151,7 +149,7 @@ class PlanningObjective final : public Objective {
   Index shape_rows() const { return (moments_ == Moments::mean ? 1 : 2) * request_.goal->size(); }
   bool uses_jvp(const EvaluationRequest& wanted) const { return wanted.jacobians && predictor_.capabilities().jvp; }
 
-  /// Eq. 4 as 1/2 |r|^2. The release segment u is held fixed for the Jacobian, as it is for the gradient.
+  /// Eq. 4 as 1/2 |r|^2. Jacobian and gradient hold the release segment u fixed.
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
                      bool with_jacobians, Evaluation& result) {
     const Index rows = capabilities().residuals, columns = dim(), n = x.cols();
@@ -162,15 +160,14 @@ class PlanningObjective final : public Objective {
     const auto flat = [](const Positions& p) { return Eigen::Map<const Vector>(p.data(), p.size()); };
     const double activity_weight = std::sqrt(2.0 * params_.activity_weight);
     result.residuals = Matrix::Zero(rows, n);
-    if (with_jacobians) result.jacobians.assign(static_cast<std::size_t>(n), Matrix::Zero(rows, columns));
-    std::vector<std::vector<CaseDirection>> directions(static_cast<std::size_t>(n));
+    if (with_jacobians) result.jacobians.assign(n, Matrix::Zero(rows, columns));
+    std::vector<std::vector<CaseDirection>> directions(n);
     std::vector<std::vector<Index>> variables(directions.size());  // of x, one per direction
     for (Index i = 0; i < n; ++i) {
-      const auto at = static_cast<std::size_t>(i);
       if (!std::isfinite(result.costs(i))) continue;
-      const auto& one = cases[at];
+      const auto& one = cases[i];
       const Index u = one.segments.front();
-      const auto& shape = prediction.shapes()[at].front();
+      const auto& shape = prediction.shapes()[i].front();
       const Positions difference = shape.mean - *request_.goal;
       result.residuals.col(i).head(coordinates) = shape_weight.cwiseProduct(flat(difference));
       if (moments_ != Moments::mean)
@@ -180,13 +177,13 @@ class PlanningObjective final : public Objective {
                                                  with_jacobians ? &d_activity : nullptr);
       result.residuals.col(i).tail(activity.size()) = activity_weight * activity;
       if (!with_jacobians) continue;
-      // d controls / dx up to u, row by row; what comes later moves nothing.
+      // d controls / dx up to u, row by row. Later controls have no effect.
       const Index controls = one.controls.cols();
       Matrix decode(u * controls, columns);
       Controls unit = Controls::Zero(one.controls.rows(), controls);
       const Controls uncut = task_.trajectory->decode(x.col(i), horizon_, request_.state);
       for (Index k = 0; k < decode.rows(); ++k) {
-        if (uncut.data()[k] != one.controls.data()[k]) {  // cut off: moves nothing
+        if (uncut.data()[k] != one.controls.data()[k]) {  // clamped: no effect
           decode.row(k).setZero();
           continue;
         }
@@ -194,14 +191,14 @@ class PlanningObjective final : public Objective {
         decode.row(k) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, unit).transpose();
         unit.data()[k] = 0.0;
       }
-      result.jacobians[at].bottomRows(activity.size()) = activity_weight * d_activity.leftCols(decode.rows()) * decode;
+      result.jacobians[i].bottomRows(activity.size()) = activity_weight * d_activity.leftCols(decode.rows()) * decode;
       for (Index k = 0; k < columns; ++k) {
         if (decode.col(k).isZero(0.0)) continue;
         CaseDirection direction;
         direction.controls = Controls::Zero(one.controls.rows(), controls);
         Eigen::Map<Vector>(direction.controls.data(), decode.rows()) = decode.col(k);
-        directions[at].push_back(std::move(direction));
-        variables[at].push_back(k);
+        directions[i].push_back(std::move(direction));
+        variables[i].push_back(k);
       }
     }
     if (!with_jacobians) return;
@@ -242,7 +239,7 @@ Vector activity_residuals(const Task& task, ConstVec state, const Controls& cont
   const double root = std::sqrt(1.0 / static_cast<double>(u));
   for (Index j = 0; j + 1 < u; ++j) {
     for (Index c = 0; c < columns; ++c) {
-      const double factor = root / variables[static_cast<std::size_t>(c)].scale;
+      const double factor = root / variables[c].scale;
       const Index row = j * columns + c;
       residuals(row) = factor * (controls(j + 1, c) - controls(j, c));
       if (jacobian) {
@@ -283,7 +280,7 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
   const double per_segment = 1.0 / static_cast<double>(u);
   for (Index j = 0; j + 1 < u; ++j) {
     for (Index c = 0; c < controls.cols(); ++c) {
-      const double scale = variables[static_cast<std::size_t>(c)].scale;
+      const double scale = variables[c].scale;
       const double jump = (controls(j + 1, c) - controls(j, c)) / scale;
       loss += per_segment * jump * jump;
       if (gradient) {
@@ -292,7 +289,7 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
       }
     }
   }
-  // Progress still needed, spread over all b segments, is the pace below which a segment counts as slow.
+  // A segment is slow if its pace is below the remaining progress divided by b segments.
   const double remaining = std::max(1e-9, 1.0 - trajectory.progress(state));
   const double pace = remaining / static_cast<double>(horizon);
   for (Index j = 0; j < u; ++j) {
@@ -320,7 +317,7 @@ Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigN
   if (!params.vertex_weights.empty() && params.vertex_weights.size() != counted.size()) {
     place(origin, "planning.vertex_weights")
         .fail("has " + std::to_string(params.vertex_weights.size()) + " numbers, must have " +
-              std::to_string(counted.size()) + ": one per vertex that counts");
+              std::to_string(counted.size()) + ": one per vertex in planning.vertices");
   }
   Vector weights = Vector::Constant(vertices, -1.0);
   for (std::size_t i = 0; i < counted.size(); ++i) {
@@ -328,7 +325,7 @@ Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigN
       place(origin, "planning.vertices." + std::to_string(i))
           .fail("= " + ConfigNode::number(counted[i]).as_string() + problem);
     };
-    const auto v = static_cast<Index>(counted[i]);
+    const Index v = counted[i];
     if (static_cast<double>(v) != counted[i] || v >= vertices)
       refuse(", must be a vertex in [0, " + std::to_string(vertices - 1) + "]");
     if (weights(v) >= 0.0) refuse(" is listed twice");
@@ -343,7 +340,7 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
                  std::shared_ptr<const Optimiser> optimiser, const PlannerParams& params, Host& host)
     : task_(task), predictor_(std::move(predictor)), optimiser_(std::move(optimiser)), params_(params), host_(host) {
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
-    throw Unsupported("the optimiser needs gradients, and the predictor has none; choose a gradient-free optimiser");
+    throw Unsupported("the optimiser needs gradients, but the predictor has none; choose a gradient-free optimiser");
   }
   weights_ = vertex_weights(params_, task_.garment->vertex_count());
 }
@@ -363,7 +360,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   const Index kept = std::min(request.warm_start.rows(), plan.horizon);
   if (!first) start.topRows(kept) = request.warm_start.topRows(kept);
 
-  // Instance 0 starts from the plan itself; the others from the plan with noise of their own.
+  // Instance 0 starts from the plan itself, the others from the plan plus noise.
   const Box bounds = trajectory.decision_bounds(plan.horizon);
   const Vector scale = trajectory.decision_scale(plan.horizon);
   const Vector centre = trajectory.encode(start, request.state);
@@ -383,8 +380,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   options.seed = RandomStream(request.seed, stream_key("opti"), static_cast<std::uint64_t>(request.round)).bits64();
   const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
   if (params_.max_evaluations > 0) options.max_evaluations = params_.max_evaluations;
-  const Index replayed =
-      is_replay ? static_cast<Index>(params_.replay_iterations[static_cast<std::size_t>(request.round)]) : 0;
+  const Index replayed = is_replay ? static_cast<Index>(params_.replay_iterations[request.round]) : 0;
   const auto observer = [&](Index iteration, const Vector& best) {
     plan.iterations = iteration;
     plan.curves.emplace_back(best.data(), best.data() + best.size());
@@ -400,7 +396,7 @@ Plan Planner::plan(const PlanRequest& request) const {
     plan.losses.push_back(results[i].cost);
     if (results[i].cost < plan.loss) {
       plan.loss = results[i].cost;
-      plan.instance = static_cast<Index>(i);
+      plan.instance = i;
     }
   }
   if (!std::isfinite(plan.loss)) throw Error("planning: no instance reached a finite loss: " + results.front().message);
@@ -408,7 +404,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   plan.ended = search_end(results, plan.instance);
 
   // The winner, truncated after its release segment, with the whole predicted sequence.
-  PredictionCase winner = objective.make_case(results[static_cast<std::size_t>(plan.instance)].x);
+  PredictionCase winner = objective.make_case(results[plan.instance].x);
   const Index u = winner.segments.front();
   winner.controls.conservativeResize(u, Eigen::NoChange);
   winner.segments.clear();

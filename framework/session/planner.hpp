@@ -31,52 +31,50 @@ struct PlannerParams {
 
   template <class Visitor>
   void visit(Visitor& v) {
-    v("instances", instances, range(1, 4096), "Searches that run side by side; the best residual loss wins.");
+    v("instances", instances, range(1, 4096), "Parallel searches; the one with the lowest residual loss wins.");
     v("iterations", iterations, range(0, 100000), "Optimiser iterations of the first plan.");
     v("replan_iterations", replan_iterations, range(0, 100000), "Optimiser iterations of every later plan.");
     v("horizon", horizon, range(1, 200, "segments"),
-      "b of the first plan. No plan's b exceeds what the predictor takes (Predictor::max_segments).");
-    v("leeway", leeway, range(0, 200, "segments"), "Later plans: b = length of the preceding plan + leeway.");
+      "b of the first plan. For every plan b is at most the predictor's limit (Predictor::max_segments).");
+    v("leeway", leeway, range(0, 200, "segments"), "Later plans: b = length of the previous plan + leeway.");
     v("noise", noise, range(0, 100), "Gaussian noise on the first plan's starts, in units of each control's scale.");
     v("replan_noise", replan_noise, range(0, 100), "The same for later plans.");
     v("replan_scale", replan_scale, range(1e-6, 1),
-      "Typical change of a control in a later plan, as a part of its change in the first: scales the optimiser's "
-      "steps.");
+      "Scales the optimiser's steps: the typical change of a control in a later plan, relative to the first plan.");
     v("activity_weight", activity_weight, range(0, 1e6, "mm^2"), "beta of eq. 4.");
     v("slowness_weight", slowness_weight, range(0, 1e6),
-      "Weight inside L_act of segments that progress too slowly to finish within the horizon.");
+      "Weight in L_act of segments that are too slow to finish within the horizon.");
     v("loss", loss, choice({"mean", "expected"}),
       "mean: squared error of the predicted mean, as in eq. 4. expected: expected squared error, which adds sigma^2.");
     v("vertices", vertices, range(0, 1e9), "Vertices that count in the error; default: all.");
-    v("vertex_weights", vertex_weights, range(0, 1e9),
-      "Weight of each of them (their mean is brought to 1); default: equal.");
+    v("vertex_weights", vertex_weights, range(0, 1e9), "Weights of these vertices, scaled to mean 1; default: equal.");
     v("time_budget_s", time_budget_s, range(0, 1e6, "s"), "Stop a plan after this time; 0: never.");
-    v("max_evaluations", max_evaluations, range(0, 1e9),
-      "Points that one instance of a plan may evaluate; 0: no limit.");
+    v("max_evaluations", max_evaluations, range(0, 1e9), "Most points that one instance evaluates; 0: no limit.");
     v("difference_step", difference_step, range(1e-6, 10),
-      "Step of a least squares optimiser's central differences where the predictor has no directional derivatives, in "
-      "units of each control's scale.");
+      "Step of the central differences for a least squares optimiser if the predictor has no directional derivatives, "
+      "in units of each control's scale.");
     v("replay_iterations", replay_iterations, range(0, 1e9),
-      "Batches of each plan of a run that was limited by time (its plan_iterations): repeats it without a clock.");
+      "Number of batches for each plan: plan_iterations of a run with time_budget_s, to repeat that run without a "
+      "clock.");
   }
 };
 
-/// Where a plan starts and what it aims at.
+/// Start and goal of a plan.
 struct PlanRequest {
   std::shared_ptr<const Positions> shape;     ///< [V, 3] m: s_i
   std::shared_ptr<const Positions> previous;  ///< one segment earlier, or null
   Vector state;                               ///< [S]
   std::shared_ptr<const Positions> goal;      ///< [V, 3] m: s*
   MaterialKnowledge knowledge;
-  Controls warm_start;  ///< the preceding plan minus what was executed; 0 rows: the default trajectory
-  Index round = 0;      ///< which plan of the session; keys the noise
+  Controls warm_start;  ///< the rest of the previous plan; 0 rows: the default trajectory
+  Index round = 0;      ///< number of the plan in the session; keys the noise
   std::uint64_t seed = 0;
 };
 
 struct Plan {
   Controls controls;                        ///< [u, C], truncated after the release segment u
-  Index horizon = 0;                        ///< b it was searched with, at most the predictor's max_segments()
-  bool releases = false;                    ///< false: even after b segments progress is below 1
+  Index horizon = 0;                        ///< b of the search, at most the predictor's max_segments()
+  bool releases = false;                    ///< false: progress is still below 1 after b segments
   double loss = 0.0;                        ///< residual planning loss of the winner, mm^2
   double predicted_error_mm = 0.0;          ///< mean vertex distance of the predicted final shape to the goal
   Index instance = 0;                       ///< the winner
@@ -85,14 +83,14 @@ struct Plan {
   std::vector<ShapeDistribution> shapes;    ///< [u]: the winner's prediction after every segment
   SearchEnd ended;                          ///< why the optimiser stopped
   Index iterations = 0;
-  Index evaluations = 0;  ///< points predicted, over all instances, with those of finite differences
+  Index evaluations = 0;  ///< predicted points over all instances, finite differences included
   double seconds = 0.0;
 };
 
-/// L_act of eq. 4: smooth, forward-progressing trajectories. Mean over the segments up to u of
+/// L_act of eq. 4 prefers smooth trajectories that progress. It is the mean over the segments up to u of
 ///     sum_c ((m_{j+1,c} - m_{j,c}) / scale_c)^2  +  slowness_weight max(0, 1 - b (p_j - p_{j-1}))^2,
-/// p the trajectory's progress: the second term vanishes for a pace that reaches release within b segments.
-/// The paper names the loss's purpose and not its form; this form is ours.
+/// where p is the trajectory's progress. The second term is zero at a pace that reaches release within b segments.
+/// The paper states the purpose of this loss but not its form; this form is ours.
 double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
                      Controls* gradient);
 /// The same as a sum of squares: L_act = |r|^2, r [(k-1) C + k] for k rows of controls; entries beyond u are zero.
@@ -100,18 +98,18 @@ double activity_loss(const Task& task, ConstVec state, const Controls& controls,
 Vector activity_residuals(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
                           Matrix* jacobian);
 
-/// Weight of every vertex in the planning loss, [V], of mean 1: `vertices` and `vertex_weights` of the parameters.
-/// @param origin what holds `planning`, for messages.
-/// @throws ConfigError for an index that is no vertex, a repeated one, weights of another number, or of sum 0.
+/// Weight of every vertex in the planning loss, [V], with mean 1, from `vertices` and `vertex_weights`.
+/// @param origin the node with `planning`, for messages.
+/// @throws ConfigError for an index that is no vertex or repeated, for a wrong number of weights, or if their sum is 0.
 Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigNode& origin = {});
 
 /// Trajectory planning (section 4). Uses the predictor for shapes and gradients, the optimiser for the search.
 class Planner {
  public:
-  /// @throws Unsupported when the optimiser needs gradients that the predictor lacks; ConfigError as vertex_weights().
+  /// @throws Unsupported if the optimiser needs gradients that the predictor lacks; ConfigError as vertex_weights().
   Planner(const Task& task, std::shared_ptr<const Predictor> predictor, std::shared_ptr<const Optimiser> optimiser,
           const PlannerParams& params, Host& host);
-  /// @throws Error when no instance reached a finite loss.
+  /// @throws Error if no instance reached a finite loss.
   Plan plan(const PlanRequest& request) const;
 
  private:

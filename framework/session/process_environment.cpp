@@ -27,13 +27,13 @@ using json = nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
 constexpr const char* kProtocol = "weft environment";
-constexpr double kGraceSeconds = 2.0;  ///< to end by itself, and again after SIGTERM
+constexpr double kGraceSeconds = 2.0;  ///< wait for the process to end by itself, and once more after SIGTERM
 
 Clock::time_point seconds_from_now(double seconds) {
   return Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
 }
 
-/// Closed at the end of its life, and in every program that this one starts.
+/// A pipe. The destructor closes it, and it is closed in every program that this one starts.
 class Pipe {
  public:
   Pipe() {
@@ -58,8 +58,8 @@ class Pipe {
   int ends_[2] = {-1, -1};
 };
 
-/// While it lives, writing to a process that has ended is an error and not a signal that ends this program. Other
-/// threads, and what the program does with SIGPIPE elsewhere, are not touched.
+/// While it exists, writing to an ended process gives an error instead of a signal that would end this program. It does
+/// not change other threads or the program's handling of SIGPIPE.
 class NoBrokenPipeSignal {
  public:
   NoBrokenPipeSignal() {
@@ -85,7 +85,7 @@ class NoBrokenPipeSignal {
   bool was_pending_ = false;
 };
 
-/// @return false when the time is over first.
+/// @return false if the time is over first.
 bool wait_for(int file, short event, Clock::time_point deadline) {
   while (true) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now()).count();
@@ -97,7 +97,7 @@ bool wait_for(int file, short event, Clock::time_point deadline) {
   }
 }
 
-/// The beginning of what a process wrote, fit for a message.
+/// The beginning of a process's output, for a message.
 std::string excerpt(const std::string& text) {
   constexpr std::size_t kMost = 80;
   std::string shown = text.substr(0, kMost);
@@ -119,7 +119,7 @@ json rows_of(const auto& matrix) {
   return rows;
 }
 
-/// What the process must know of the task.
+/// The first request: all that the process must know about the task.
 json greeting(const Task& task) {
   const auto& garment = *task.garment;
   return {{"type", "hello"},
@@ -143,7 +143,7 @@ json greeting(const Task& task) {
 
 }  // namespace
 
-/// The process, and the lines that go to it and come from it.
+/// The process and its two pipes, which carry lines.
 class ProcessEnvironment::Link {
  public:
   Link(const ProcessOptions& options, Index vertices) : timeout_s_(options.timeout_s) {
@@ -174,10 +174,10 @@ class ProcessEnvironment::Link {
   }
 
   std::string text(const json& answer, const char* key) const {
-    if (!answer.contains(key) || !answer[key].is_string()) fail("left out `" + std::string(key) + "`, must be a text");
+    if (!answer.contains(key) || !answer[key].is_string()) fail("sent no `" + std::string(key) + "`, must be a text");
     return answer[key].get<std::string>();
   }
-  /// A number >= 0, `otherwise` when the key is missing.
+  /// A number >= 0; `otherwise` if the key is missing.
   double number(const json& answer, const char* key, double otherwise) const {
     if (!answer.contains(key)) return otherwise;
     const json& value = answer[key];
@@ -191,13 +191,13 @@ class ProcessEnvironment::Link {
  private:
   void start(const ProcessOptions& options) {
     if (!std::filesystem::is_directory(options.folder))
-      throw ConfigError("the folder that it runs in, " + options.folder.string() + ", does not exist");
+      throw ConfigError("the working folder " + options.folder.string() + " does not exist");
     posix_spawn_file_actions_t files;
     posix_spawn_file_actions_init(&files);
     posix_spawn_file_actions_adddup2(&files, to_.reader(), STDIN_FILENO);
     posix_spawn_file_actions_adddup2(&files, from_.writer(), STDOUT_FILENO);
     posix_spawn_file_actions_addchdir_np(&files, options.folder.c_str());
-    // A group of its own: ^C ends a session in order, after the segment, and must not reach the robot's process.
+    // Its own process group: ^C ends a session after the current segment, and must not reach the robot's process.
     posix_spawnattr_t attributes;
     posix_spawnattr_init(&attributes);
     posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETPGROUP | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
@@ -220,7 +220,7 @@ class ProcessEnvironment::Link {
     for (const int file : {to_.writer(), from_.reader()}) fcntl(file, F_SETFL, fcntl(file, F_GETFL) | O_NONBLOCK);
   }
 
-  /// @return whether the process has ended by then; it stays to be reaped.
+  /// @return whether the process has ended by the deadline. Does not reap it.
   bool ended_by(Clock::time_point deadline) const {
     while (true) {
       siginfo_t info{};
@@ -238,7 +238,7 @@ class ProcessEnvironment::Link {
     }
     while (waitpid(process_, nullptr, 0) == -1 && errno == EINTR) continue;
   }
-  /// Of a process that no longer takes or sends anything.
+  /// Reports a process that closed its pipe.
   [[noreturn]] void fail_ended(const std::string& asked) const {
     siginfo_t info{};
     if (!ended_by(seconds_from_now(1.0)) || waitid(P_PID, process_, &info, WEXITED | WNOHANG | WNOWAIT) != 0)
@@ -291,7 +291,7 @@ class ProcessEnvironment::Link {
       return json::parse(line);
     } catch (const json::out_of_range&) {  // 1e999
       finite = false;
-    } catch (const json::parse_error&) {  // NaN and Infinity are no JSON, but what many programs write
+    } catch (const json::parse_error&) {  // NaN and Infinity are not JSON, but many programs write them
       finite = line.find("NaN") == std::string::npos && line.find("Infinity") == std::string::npos;
     }
     if (!finite) fail("answered " + asked + " with a number that is not finite");
@@ -303,7 +303,7 @@ class ProcessEnvironment::Link {
   std::size_t longest_line_;
   pid_t process_ = -1;
   Pipe to_, from_;
-  std::string read_;  ///< what was read beyond the last line
+  std::string read_;  ///< text after the last line
   std::vector<std::string> warnings_;
 };
 
@@ -343,11 +343,11 @@ Observation ProcessEnvironment::observe() {
                           std::all_of(point.begin(), point.end(), [](const json& x) { return x.is_number(); });
     if (!is_point)
       link_->fail("observed vertex " + std::to_string(v) + " at " + excerpt(point.dump()) +
-                  ", must be [x, y, z] in m, or null where it was not seen");
+                  ", must be [x, y, z] in m, or null if it is not seen");
     for (Index c = 0; c < 3; ++c) seen.positions(v, c) = point[c].get<double>();
   }
   const auto count = std::count(observed.begin(), observed.end(), true);
-  if (count == 0) link_->fail("sees no vertex at all");
+  if (count == 0) link_->fail("observed no vertex, must observe at least one");
   if (count < vertices_) seen.observed = std::move(observed);  // empty: all are seen
   return seen;
 }

@@ -12,20 +12,21 @@ namespace weft {
 struct ProcessOptions {
   std::vector<std::string> command;  ///< program, searched in PATH, and its arguments
   std::filesystem::path folder = ".";
-  double timeout_s = 60.0;                     ///< for every message that the process must take or send
-  double sigma = 0.0, height_sigma = 0.0;      ///< m, of an observation that does not say its own
-  std::optional<MaterialProperties> material;  ///< q, where the user knows it
+  double timeout_s = 60.0;                     ///< for every message to or from the process
+  double sigma = 0.0, height_sigma = 0.0;      ///< m, of observations that do not state their own
+  std::optional<MaterialProperties> material;  ///< q, if the user knows it
 };
 
-/// A child process as the environment: a robot, a camera, another simulator, a recording. It gets requests as lines of
-/// JSON on its stdin and answers each with one line on its stdout; docs/environment-protocol.md is the contract. The
-/// destructor closes its stdin, and kills a process that does not end then.
+/// A child process as the environment: a robot, a camera, another simulator, a recording. It reads requests as lines of
+/// JSON from its stdin and answers each with one line on its stdout (docs/environment-protocol.md). The destructor
+/// closes its stdin and kills the process if it does not end.
 class ProcessEnvironment final : public Environment {
  public:
   static constexpr int kProtocolVersion = 1;
 
-  /// Starts the process and greets it. @throws ConfigError when the command cannot be run. Every function throws Error
-  /// naming the command when the process ends, takes longer than timeout_s, refuses, or breaks the protocol.
+  /// Starts the process and sends it the first request. @throws ConfigError if the command cannot be run.
+  /// Every function throws Error naming the command if the process ends, exceeds timeout_s, refuses, or breaks the
+  /// protocol.
   ProcessEnvironment(const ProcessOptions& options, const Task& task);
   ~ProcessEnvironment() override;
   Observation observe() override;

@@ -26,12 +26,12 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
     if (segment < 1 || segment > recorded->segments())
       throw ConfigError("weft plan: segment = " + std::to_string(segment) + ", the session has 1 to " +
                         std::to_string(recorded->segments()));
-    const auto at = static_cast<std::size_t>(segment - 1);
+    const std::size_t at = segment - 1;
     const auto& round = recorded->rounds[at];
-    // After segment `number`; 0: the start, which is recorded as it was and not as it was seen.
+    // The observation after segment `number`; 0: the start, which is recorded as its true shape.
     const auto seen = [&](Index number) -> std::shared_ptr<const Positions> {
       if (number == 0) return filled_start(task, observe_shape(recorded->start, params.observation, seed, 0));
-      return std::make_shared<const Positions>(recorded->rounds[static_cast<std::size_t>(number - 1)].observed);
+      return std::make_shared<const Positions>(recorded->rounds[number - 1].observed);
     };
     request.shape = seen(segment - 1);
     if (segment > 1) {
@@ -64,7 +64,7 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
 std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& task,
                                        const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
                                        Host& host) {
-  require_shape("replay: shapes", static_cast<Index>(replay.shapes.size()), replay.controls.rows() + 1);
+  require_shape("replay: shapes", replay.shapes.size(), replay.controls.rows() + 1);
   EstimateRequest request;
   set_start(request, task, observe_shape(replay.shapes.front(), observation, seed, 0));
   request.state = replay.state;
@@ -74,7 +74,7 @@ std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& t
     if (host.cancelled()) throw Error("cancelled");
     request.controls = replay.controls.topRows(j);
     request.observations.push_back(std::make_shared<const Observation>(
-        observe_shape(replay.shapes[static_cast<std::size_t>(j)], observation, seed, static_cast<std::uint64_t>(j))));
+        observe_shape(replay.shapes[j], observation, seed, static_cast<std::uint64_t>(j))));
     request.round = j - 1;
     const bool too_long = j > estimator.max_segments().value_or(j);
     estimates.push_back(too_long ? estimates.back() : estimator.estimate(request));
@@ -98,14 +98,14 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
     replay.controls.resize(recorded->segments(), recorded->rounds.front().controls.cols());
     replay.shapes.push_back(recorded->start);
     for (Index j = 0; j < recorded->segments(); ++j) {
-      replay.controls.row(j) = recorded->rounds[static_cast<std::size_t>(j)].controls.row(0);
+      replay.controls.row(j) = recorded->rounds[j].controls.row(0);
       replay.shapes.push_back(recorded->shape_after(j));
     }
   } else {
     result.true_material = true_material_of(params);
     if (!result.true_material) {
       place(origin, "environment.command")
-          .fail("executes the fold, of unknown material: the default fold, which is simulated, needs true_material");
+          .fail("executes the fold, so the material is unknown; the simulated default fold needs true_material");
     }
     const Controls controls = task.trajectory->default_controls(params.goal.horizon);
     FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, *result.true_material, controls);

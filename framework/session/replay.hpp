@@ -4,36 +4,36 @@
 
 namespace weft {
 
-/// One plan, not executed.
+/// One plan that is not executed.
 struct LonePlan {
   Plan plan;
-  MaterialKnowledge knowledge;  ///< what it was made with
+  MaterialKnowledge knowledge;  ///< the plan's input
   Positions goal;               ///< [V, 3] m
 };
-/// `weft plan`: the first plan of the session that `params` describe, or, of a recorded one, the plan before a segment
-/// from what was seen by then, at the knowledge of then (knowledge: true: at the recorded material).
-/// @param recorded null: a fresh one. @param segment 1-based.
-/// @throws ConfigError for another garment or a segment that the session does not have; as run_session().
+/// `weft plan`: the first plan of the session in `params`, or the plan before one segment of a recorded session. The
+/// latter uses the observations and the knowledge that the session had then (knowledge: true: the recorded material).
+/// @param recorded null: a new session. @param segment 1-based.
+/// @throws ConfigError for another garment or a segment beyond the end of the session; as run_session().
 LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Index segment,
                     Host& host);
 
-/// A manipulation that was carried out: what is observed of it again.
+/// An executed manipulation that is observed again.
 struct Replay {
   std::vector<Positions> shapes;  ///< [k + 1] of [V, 3] m: at the start and after every segment
   Vector state;                   ///< [S] at the start
   Controls controls;              ///< [k, C]
 };
-/// Estimates after every segment, [k], as a session with `knowledge: estimate` makes them (section 5). Beyond the
-/// predictor's max_segments() the last one stays.
+/// Estimates after every segment, [k], as in a session with `knowledge: estimate` (section 5). Beyond the predictor's
+/// max_segments() the last one stays.
 /// @param seed of the observations' noise and of the searches. @throws ShapeError; as Estimator::estimate().
 std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& task,
                                        const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
                                        Host& host);
 struct LoneEstimates {
   std::vector<Estimate> estimates;                  ///< [segments]
-  std::optional<MaterialProperties> true_material;  ///< nullopt: nobody knows it
+  std::optional<MaterialProperties> true_material;  ///< nullopt: unknown
 };
-/// `weft estimate`: the material after every segment of a recorded session, or of the default control under the
+/// `weft estimate`: the material after every segment of a recorded session, or of the default control with the
 /// session's true material. @param recorded null: the default control.
 /// @throws ConfigError for another garment; as replay_estimates().
 LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded,

@@ -13,24 +13,24 @@ namespace {
 constexpr std::uint64_t kMaterialStream = 0x71;
 constexpr std::uint64_t kKnowledgeStream = stream_key("know");
 
-/// Frames of a session of which only the ends of its segments were seen: each holds the look before it.
+/// Frames of a session that was observed only at the ends of segments: each holds the observation before it.
 std::vector<std::vector<float>> held_frames(const SessionResult& result) {
   std::vector<std::vector<float>> frames{to_frame(result.start)};
   for (const auto& round : result.rounds) {
     frames.insert(frames.end(), kFramesPerSegment - 1, frames.back());
     frames.push_back(to_frame(round.observed));
   }
-  // The cloth was looked at after it had settled, and not when the hands let go.
+  // The cloth was observed after it had settled, and not at the release.
   if (result.released) frames.insert(frames.end() - 1, frames[frames.size() - 2]);
   return frames;
 }
 
 std::vector<std::string> session_warnings(const SessionResult& result, const Estimator* estimator) {
   std::vector<std::string> warnings;
-  const auto segments = static_cast<Index>(result.rounds.size());
+  const Index segments = result.rounds.size();
   if (const Index most = estimator ? estimator->max_segments().value_or(segments) : segments; most < segments) {
-    warnings.push_back("the predictor takes " + std::to_string(most) +
-                       " segments: later estimates repeat the one after that many");
+    warnings.push_back("the predictor takes at most " + std::to_string(most) +
+                       " segments; later estimates repeat the one after segment " + std::to_string(most));
   }
   if (!result.released) {
     warnings.push_back("the session ended after " + std::to_string(segments) + " segments without release");
@@ -40,7 +40,7 @@ std::vector<std::string> session_warnings(const SessionResult& result, const Est
   return warnings;
 }
 
-/// The plan of one round, refined where the parameters say so.
+/// The plan of one round, refined if the parameters ask for it.
 SessionRound plan_round(const RefinementParams& params, const SessionSetup& setup, PlanRequest request) {
   SessionRound round;
   round.state = request.state;
@@ -50,7 +50,7 @@ SessionRound plan_round(const RefinementParams& params, const SessionSetup& setu
     request.warm_start = round.plan.controls;
     Plan refined = setup.refiner->plan(request);
     round.refinement_seconds = refined.seconds;
-    // Its seconds are told apart; its curves and losses are in the simulator's terms, as its prediction is.
+    // Its seconds are recorded separately. Its curves, losses and prediction come from the simulator.
     refined.seconds = round.plan.seconds;
     refined.iterations = round.plan.iterations;
     round.plan = std::move(refined);
@@ -104,8 +104,7 @@ MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode&
     // `true` is the default, so that the key may be missing.
     place(origin, "knowledge")
         .fail("= " + params.knowledge +
-              ", which needs true_material where a process executes the fold; others: none, "
-              "given, estimate");
+              ", which needs true_material if a process executes the fold; without it use none, given or estimate");
   }
   if (params.knowledge == "true") knowledge = MaterialKnowledge::certain(*true_material);
   if (params.knowledge == "given") {
@@ -174,13 +173,13 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   result.start = environment.true_shape().value_or(*current);
   result.error_mm = error_mm(first);
   EstimateChain chain(estimator, host, seed);
-  chain.start(task, first, state, static_cast<Index>(trajectory.controls().size()));
+  chain.start(task, first, state, trajectory.controls().size());
   MaterialKnowledge knowledge = setup.knowledge;
   Controls warm_start;
   // Plan, execute one segment, observe, re-plan, ..., release.
   while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
          !host.cancelled()) {
-    const auto number = static_cast<Index>(result.rounds.size());
+    const Index number = result.rounds.size();
     if (estimator) knowledge = chain.knowledge(number - params.knowledge_lag);
     SessionRound round = plan_round(params.refinement, setup,
                                     {.shape = current,

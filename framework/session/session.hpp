@@ -13,7 +13,7 @@
 
 namespace weft {
 
-/// A few iterations with a simulator as the predictor, after the network's plan.
+/// Refines the network's plan by a few iterations with a simulator as the predictor.
 struct RefinementParams {
   std::int64_t first = 0;
   std::int64_t plans = 0;
@@ -24,13 +24,13 @@ struct RefinementParams {
   template <class Visitor>
   void visit(Visitor& v) {
     v("first", first, range(0, 1000),
-      "Plans before those that are refined; with `knowledge: estimate` the first ones know nothing of the material.");
-    v("plans", plans, range(0, 1000), "How many plans of a session are refined; 0: none.");
+      "Number of plans before the first refined one. With `knowledge: estimate` the first plans do not know the "
+      "material.");
+    v("plans", plans, range(0, 1000), "Number of refined plans in a session; 0: none.");
     v("iterations", iterations, range(0, 10000), "Optimiser iterations of a refinement.");
-    v("scale", scale, range(1e-6, 1),
-      "Typical change of a control in a refinement, as a part of its change in a first plan.");
+    v("scale", scale, range(1e-6, 1), "Typical change of a control in a refinement, relative to a first plan.");
     v("predictor", predictor, PluginSlot{"predictor"},
-      "What is in the loop: the simulator, at the estimated material.");
+      "Predictor of the refinement, such as the simulator at the estimated material.");
   }
 };
 
@@ -58,67 +58,64 @@ struct SessionParams {
 
   template <class Visitor>
   void visit(Visitor& v) {
-    v("description", description, "What this task is, for people.", Decides::nothing);
-    v("seed", seed, range(0, 9e18), "Seed of everything random.", Decides::examples);
+    v("description", description, "A description of the task for people.", Decides::nothing);
+    v("seed", seed, range(0, 9e18), "Seed of all random numbers.", Decides::examples);
     v("threads", threads, range(0, 1024), "Worker threads; 0: all cores.", Decides::nothing);
     v("plugin_path", plugin_path, "Folders searched for plugins first.", Decides::nothing);
     v.part(task, Decides::examples);
-    v("predictor", predictor, PluginSlot{"predictor"}, "Predictor plugin that plans are made with.");
-    v("optimiser", optimiser, PluginSlot{"optimiser"}, "Optimiser plugin.");
+    v("predictor", predictor, PluginSlot{"predictor"}, "Predictor plugin for plans and estimates.");
+    v("optimiser", optimiser, PluginSlot{"optimiser"}, "Optimiser plugin of the plans.");
     v("estimation_optimiser", estimation_optimiser, PluginSlot{"optimiser"}, "Optimiser plugin of the estimates.");
     v.group("planning", planning, "Trajectory planning (section 4).");
     v.group("estimation", estimation, "Material estimation (section 5).");
-    v.group("refinement", refinement, "The simulator in the loop, after the network's plan.");
-    v.group("environment", environment, "Who executes the fold and sees the cloth.");
-    v.group("observation", observation, "What is seen of the cloth.");
+    v.group("refinement", refinement, "Refines the network's plan with a simulator.");
+    v.group("environment", environment, "Executes the fold and observes the cloth.");
+    v.group("observation", observation, "Errors and gaps of the observations.");
     v.group("goal", goal, "The shape to reach.");
     v("true_material", true_material, range(0, 1),
-      "q of the executed fold; default: drawn from the seed, or, where a process executes it, unknown.",
-      property_list());
+      "q of the executed fold; default: drawn from the seed, or unknown if a process executes it.", property_list());
     v("knowledge", knowledge, choice({"none", "true", "given", "drawn", "estimate"}),
-      "What the planner knows of the material; estimate: what the session has shown so far.");
+      "Knowledge of the material for the plans; estimate: estimated from the session so far.");
     v("given_centre", given_centre, range(0, 1), "knowledge: given: c.", property_list());
     v("given_width", given_width, range(0, 1), "knowledge: given: w.", property_list());
     v("drawn_width", drawn_width, range(0, 1),
       "knowledge: drawn: w of all properties; c is drawn uniformly from [q - w/2, q + w/2] (section 4).");
     v("knowledge_lag", knowledge_lag, range(0, 1000, "segments"),
-      "knowledge: estimate: plan j uses what was seen up to segment j - knowledge_lag. From 1 on the estimate runs "
-      "beside "
-      "planning and execution; 0 waits for it.");
+      "knowledge: estimate: plan j uses the observations up to segment j - knowledge_lag. From 1 on the estimate runs "
+      "in parallel to planning and execution; 0 waits for it.");
     v("max_segments", max_segments, range(1, 1000, "segments"),
-      "End the session here even when no plan reached release.");
+      "The session ends after this many segments, even without a release.");
   }
 };
 
-/// Refuses what read_params() cannot see: lists that are missing, vertices that the garment lacks.
-/// @param origin what params were read from. @throws ConfigError.
+/// Checks that read_params() cannot make: missing lists, vertices that the garment does not have.
+/// @param origin the node that params were read from. @throws ConfigError.
 void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task);
 
-/// The task, and the refusals of check_session().
+/// Makes the task and runs check_session().
 Task session_task(const SessionParams& params, const ConfigNode& origin, Host& host);
-/// q of the executed fold: given, or drawn from the seed; nullopt where a process executes it and none is given.
+/// q of the executed fold: given, or drawn from the seed. nullopt if a process executes the fold and q is not given.
 std::optional<MaterialProperties> true_material_of(const SessionParams& params);
-/// What is known before the first segment; `estimate`: nothing.
-/// @throws ConfigError for knowledge `true` or `drawn` when the true material is not known.
+/// The knowledge before the first segment; none for `estimate`.
+/// @throws ConfigError for knowledge `true` or `drawn` if the true material is unknown.
 MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin,
                                   const std::optional<MaterialProperties>& true_material);
 
-/// Makes a predictor and binds it to the task. What is wrong with its model file is said of the key that names it.
-/// @throws ConfigError, PluginError.
+/// Makes a predictor and binds it to the task.
+/// @throws ConfigError, PluginError. Errors in a model file are reported at the config key that names the file.
 std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host);
 
 /// One round: plan, execute one segment, observe.
 struct SessionRound {
   Plan plan;
   Vector state;                 ///< [S] before the segment
-  MaterialKnowledge knowledge;  ///< what the plan was made with
-  /// [V, 3] m, after the segment (settled if it was the last): as seen, what was not seen filled from the plan's
-  /// prediction
+  MaterialKnowledge knowledge;  ///< the plan's input
+  /// [V, 3] m, observed after the segment (settled if it was the last). Unseen vertices are the plan's prediction.
   Positions observed;
   double refinement_seconds = 0.0;
 };
 
-/// Who plans and estimates in a session, what is known before it, and where it is to lead.
+/// Planner, estimator, first knowledge and goal of a session.
 struct SessionSetup {
   Task task;
   std::unique_ptr<const Planner> planner;
@@ -130,22 +127,22 @@ struct SessionSetup {
 
 struct SessionResult {
   std::vector<SessionRound> rounds;
-  /// Whether start, final_shape, frames and error_mm are true: the environment knows its shapes. false: they are what
-  /// was observed. Vertices that were not seen are filled in the shapes, and do not count in error_mm.
+  /// true: start, final_shape, frames and error_mm come from the environment's true shapes. false: they come from the
+  /// observations. Unseen vertices are then filled in, and error_mm leaves them out.
   bool shapes_are_true = true;
   Positions start, goal, final_shape, default_shape;  ///< [V, 3] m
   Controls goal_controls;                             ///< [k, C] of a goal that was simulated, else 0 rows
   std::optional<MaterialProperties> true_material;
-  /// [rounds]: from everything up to the end of that round's segment; beyond the predictor's max_segments() the last
-  /// one stays. Empty unless knowledge is `estimate`.
+  /// [rounds]: the estimate after each round's segment. Beyond the predictor's max_segments() the last one stays. Empty
+  /// unless knowledge is `estimate`.
   std::vector<Estimate> estimates;
   double error_mm = 0.0, default_error_mm = 0.0;
   bool released = false;
   SettleResult settle;
-  double simulate_seconds = 0.0;  ///< s that the environment executed, the release included
+  double simulate_seconds = 0.0;  ///< s in the environment's execute() and release()
   std::optional<double> max_grasp_strain;
-  /// As Environment::frames(). Of an environment that sees nothing between two looks, each frame holds the look before
-  /// it, and the settling is one frame.
+  /// As Environment::frames(). If the environment has none, each frame holds the observation before it, and settling is
+  /// one frame.
   std::vector<std::vector<float>> frames;
   std::vector<std::string> warnings;
 };
@@ -153,15 +150,16 @@ struct SessionResult {
 /// Called after every round, for progress.
 using SessionProgress = std::function<void(const SessionRound&, Index round, double error_to_goal_mm)>;
 
-/// Runs one whole session: plan, execute one segment, observe, re-plan, ..., release, settle (section 4); with
-/// knowledge: estimate the material is estimated after every segment (section 5), beside planning and execution. Which
-/// estimate a plan uses is fixed by knowledge_lag and never by timing.
-/// @param environment at the start of a manipulation. @throws Error when planning or the environment fails.
+/// Runs one whole session: plan, execute one segment, observe, re-plan, ..., release, settle (section 4). With
+/// `knowledge: estimate` the material is estimated after every segment (section 5), in parallel to planning and
+/// execution. knowledge_lag, not timing, fixes which estimate a plan uses.
+/// @param environment at the start of a manipulation. @throws Error if planning or the environment fails.
 SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
                           const SessionProgress& progress = {});
 
-/// The same with the environment, the goal and everybody else as the config says.
-/// @param origin what params were read from. @throws ConfigError, PluginError before any work starts; as run_session().
+/// Makes the setup and the environment from the config and runs the session.
+/// @param origin the node that params were read from.
+/// @throws ConfigError, PluginError before any work starts; as run_session().
 SessionResult run_configured_session(const SessionParams& params, const ConfigNode& origin, Host& host,
                                      const SessionProgress& progress = {});
 

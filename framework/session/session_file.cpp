@@ -10,7 +10,7 @@
 namespace weft {
 namespace {
 
-/// Reads with the file's name in every refusal.
+/// Reads a session file. Every error message names the file.
 class Reader {
  public:
   explicit Reader(const std::filesystem::path& path) : name_(path.string()), file_(Hdf5File::open(path)) {}
@@ -26,7 +26,7 @@ class Reader {
 
   Vector vector(const std::string& path, Index wanted = -1) const {
     const auto values = file_.read(path);
-    const auto size = static_cast<Index>(values.size());
+    const Index size = values.size();
     if (wanted >= 0 && size != wanted) {
       fail(path, "has " + std::to_string(size) + " numbers, must have " + std::to_string(wanted));
     }
@@ -88,7 +88,7 @@ RoundRecord read_round(const Reader& in, const std::string& group, Index vertice
   return round;
 }
 
-/// Names and units of what the controls and the state are made of.
+/// Names and units of the control and state variables.
 std::string trajectory_json(const Trajectory& trajectory) {
   const auto list = [](const std::vector<Variable>& variables) {
     auto items = nlohmann::ordered_json::array();
@@ -105,25 +105,24 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
   const Vector centre = round.knowledge.centre, width = round.knowledge.width;
   file.write(group + "/knowledge_centre", centre);
   file.write(group + "/knowledge_width", width);
-  const Vector losses =
-      Eigen::Map<const Vector>(round.plan.losses.data(), static_cast<Index>(round.plan.losses.size()));
+  const Vector losses = Eigen::Map<const Vector>(round.plan.losses.data(), round.plan.losses.size());
   file.write(group + "/losses", losses);
   if (!round.plan.curves.empty()) {
-    Controls curves(static_cast<Index>(round.plan.curves.size()), losses.size());
+    Controls curves(round.plan.curves.size(), losses.size());
     for (Index r = 0; r < curves.rows(); ++r) {
-      const auto& row = round.plan.curves[static_cast<std::size_t>(r)];
-      for (Index c = 0; c < curves.cols(); ++c) curves(r, c) = row[static_cast<std::size_t>(c)];
+      const auto& row = round.plan.curves[r];
+      for (Index c = 0; c < curves.cols(); ++c) curves(r, c) = row[c];
     }
     file.write(group + "/loss_curves", curves);
   }
-  // Single precision: a prediction is good to a fraction of a millimetre at best.
+  // Single precision is enough: the error of a prediction is a fraction of a millimetre at best.
   std::vector<float> mean, sigma;
   for (const auto& shape : round.plan.shapes) {
     const auto m = to_frame(shape.mean), s = to_frame(shape.sigma);
     mean.insert(mean.end(), m.begin(), m.end());
     sigma.insert(sigma.end(), s.begin(), s.end());
   }
-  // Where the plan would take the hands: what a page needs to draw it without the trajectory plugin.
+  // Planned targets of the hands. With them a page can draw the plan without the trajectory plugin.
   std::vector<float> targets;
   Vector state = round.state;
   for (Index j = 0; j < round.plan.controls.rows(); ++j) {
@@ -219,10 +218,10 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   if (result.goal_controls.rows() > 0) file.write("/goal_controls", result.goal_controls);
   if (result.true_material) file.write("/true_material", Vector(*result.true_material));
   if (!result.estimates.empty()) {
-    Controls centre(static_cast<Index>(result.estimates.size()), 4), width = centre;
+    Controls centre(result.estimates.size(), 4), width = centre;
     for (Index j = 0; j < centre.rows(); ++j) {
-      centre.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.centre.transpose();
-      width.row(j) = result.estimates[static_cast<std::size_t>(j)].knowledge.width.transpose();
+      centre.row(j) = result.estimates[j].knowledge.centre.transpose();
+      width.row(j) = result.estimates[j].knowledge.width.transpose();
     }
     file.write("/estimates/centre", centre);
     file.write("/estimates/width", width);
@@ -241,7 +240,7 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
 SessionRecord read_session(const std::filesystem::path& path) {
   const Reader in(path);
   if (!in.has("/schema") || in.text("/schema") != "weft session 1")
-    in.fail("/schema", "must be 'weft session 1': this is no recorded session");
+    in.fail("/schema", "must be 'weft session 1': this is not a recorded session");
   SessionRecord record;
   record.config = in.text("/config");
   record.provenance = in.text("/provenance");
@@ -261,7 +260,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   const auto corners = checked("/garment/faces", in.integers("/garment/faces"));
   if (corners.size() % 3 != 0) in.fail("/garment/faces", "must have the shape [n, 3]");
   using WideFaces = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor>;
-  record.faces = Eigen::Map<const WideFaces>(corners.data(), static_cast<Index>(corners.size() / 3), 3).cast<int>();
+  record.faces = Eigen::Map<const WideFaces>(corners.data(), corners.size() / 3, 3).cast<int>();
   const auto held = checked("/garment/grasp_vertices", in.integers("/garment/grasp_vertices"));
   record.grasp_vertices.assign(held.begin(), held.end());
   record.start = in.positions("/start", vertices);
@@ -273,7 +272,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   if (record.frames.empty()) in.fail("/frames", "holds no frame");
   if (in.has("/rounds")) {
     for (const auto& name : in.list("/rounds")) {
-      record.rounds.push_back(read_round(in, "/rounds/" + name, vertices, static_cast<Index>(held.size())));
+      record.rounds.push_back(read_round(in, "/rounds/" + name, vertices, held.size()));
     }
   }
   if (in.has("/estimates")) {

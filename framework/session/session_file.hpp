@@ -18,16 +18,16 @@ struct Task;
 struct RoundRecord {
   Controls controls;               ///< [u, C]: the plan; its first row was executed
   Vector state;                    ///< [S] before the segment
-  MaterialKnowledge knowledge;     ///< what the plan was made with
-  Positions observed;              ///< [V, 3] m, after the segment: as it was seen
+  MaterialKnowledge knowledge;     ///< the plan's input
+  Positions observed;              ///< [V, 3] m, observed after the segment
   Vector losses;                   ///< [instances], residual, mm^2
-  Controls curves;                 ///< [iterations, instances]: best loss so far; 0 rows when not recorded
-  std::vector<Positions> mean;     ///< [u] of [V, 3] m: what the plan's winner predicts after every segment
-  std::vector<Positions> sigma;    ///< [u] of [V, 3] m; empty when only means were predicted
+  Controls curves;                 ///< [iterations, instances]: best loss so far; 0 rows if not recorded
+  std::vector<Positions> mean;     ///< [u] of [V, 3] m: the winner's prediction after every segment
+  std::vector<Positions> sigma;    ///< [u] of [V, 3] m; empty if only means were predicted
   std::vector<Positions> targets;  ///< [12 u] of [G, 3] m: grasp points along the plan; empty in files without them
 };
 
-/// A session as session.h5 holds it: what pages, exports and later analyses are made from, without any plugin.
+/// The contents of session.h5. Pages, exports and later analyses need nothing else, and no plugin.
 struct SessionRecord {
   std::string config, provenance, summary;  ///< YAML, JSON, JSON
   std::string trajectory;                   ///< JSON {controls: [{name, unit}], state: [...]}, or empty
@@ -36,24 +36,24 @@ struct SessionRecord {
   RestPositions rest;
   std::vector<Index> grasp_vertices;
   Positions start, goal, default_shape, final_shape;  ///< [V, 3] m
-  std::optional<MaterialProperties> true_material;    ///< nullopt: nobody knows it
+  std::optional<MaterialProperties> true_material;    ///< nullopt: unknown
   std::vector<Positions> frames;  ///< [12 segments + 1 + settle_frames()]: start, segments, release and settling
   std::vector<RoundRecord> rounds;
-  std::vector<MaterialKnowledge> estimates;  ///< [segments] after each of them; empty when nothing was estimated
+  std::vector<MaterialKnowledge> estimates;  ///< [segments]: after each of them; empty without estimation
 
   Index vertex_count() const { return start.rows(); }
-  Index segments() const { return static_cast<Index>(rounds.size()); }
+  Index segments() const { return rounds.size(); }
   /// Frame at which segment j = 0, 1, ... begins; segments(): at which the hands let go.
   Index segment_frame(Index j) const { return j * kFramesPerSegment; }
-  Index settle_frames() const { return static_cast<Index>(frames.size()) - 1 - segment_frame(segments()); }
+  Index settle_frames() const { return std::ssize(frames) - 1 - segment_frame(segments()); }
   bool released() const { return settle_frames() > 0; }
-  /// [V, 3] m, what the cloth was after segment j = 0, 1, ...; settled if it was the last.
+  /// [V, 3] m, the shape after segment j = 0, 1, ...; settled if it was the last.
   const Positions& shape_after(Index j) const {
-    return j + 1 >= segments() ? frames.back() : frames[static_cast<std::size_t>(segment_frame(j + 1))];
+    return j + 1 >= segments() ? frames.back() : frames[segment_frame(j + 1)];
   }
 };
 
-/// @throws ConfigError naming what is missing, damaged or of the wrong shape.
+/// @throws ConfigError naming the array that is missing, damaged or of the wrong shape.
 SessionRecord read_session(const std::filesystem::path& file);
 
 /// summary.json: the keys of docs/file-formats.md.

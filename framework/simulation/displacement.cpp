@@ -14,7 +14,7 @@ DisplacementResult tune_displacement(const Task& task, Simulator& simulator, con
   const double grasp = (task.manipulation.grasp_points.leftCols<2>() * direction).mean();
   const double geometric = 2.0 * (middle - grasp);
   if (geometric <= 0.0) {
-    throw ConfigError("displacement: the grasp points lie beyond the middle of the garment along d; turn d around");
+    throw ConfigError("displacement: the grasp points lie beyond the middle of the garment along d; reverse d");
   }
   DisplacementResult result;
   const auto misfit = [&](double length) {

@@ -5,8 +5,7 @@
 
 namespace weft {
 
-/// One fold under known material: runs the controls from the flat garment to release (or to the last segment) and
-/// settles.
+/// The result of one fold, from the flat garment to release (or to the last segment) and settling.
 struct FoldResult {
   std::vector<Positions> shapes;  ///< [segments + 1]: at the start and after every segment; the last one settled
   Controls states;                ///< [segments + 1, S]
@@ -15,7 +14,7 @@ struct FoldResult {
   SettleResult settle;
   double max_grasp_strain = 0.0;
 };
-/// @throws Diverged, ConfigError.
+/// Runs the controls with a known material. @throws Diverged, ConfigError.
 FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material,
                          const Controls& controls);
 

@@ -12,7 +12,7 @@ Controls random_controls(const Trajectory& trajectory, Index horizon, const Rand
   const double pace = std::exp(random.uniform(std::log(params.pace_low), std::log(params.pace_high)));
   const double innovation = std::sqrt(1.0 - params.smoothness * params.smoothness);
   for (Index c = 0; c < controls.cols(); ++c) {
-    const auto& variable = variables[static_cast<std::size_t>(c)];
+    const auto& variable = variables[c];
     const double constant = params.drift * random.normal();
     double walk = random.normal();  // stationary from the first segment on
     for (Index j = 0; j < horizon; ++j) {

@@ -5,8 +5,8 @@
 
 namespace weft {
 
-/// Random controls that cover what a planner asks for (section 3): per-control smooth random walks around a random
-/// multiple of the default trajectory, so slow and fast arcs, bent and shifted ones, all occur.
+/// Random controls that cover the requests of a planner (section 3). Each control is a smooth random walk around a
+/// random multiple of the default trajectory. So slow and fast, bent and shifted arcs all occur.
 struct RandomControlsParams {
   double pace_low = 0.6;
   double pace_high = 1.6;

@@ -1,15 +1,16 @@
 #include "simulation/scene.hpp"
-#include "meshes/intersections.hpp"
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "meshes/intersections.hpp"
+
 namespace weft {
 namespace {
 
-// A keyframe this close behind a frame boundary belongs to it: 0.1 s is frame 6, whatever the rounding.
+// A keyframe this close after a frame boundary counts as on it, so that rounding cannot move 0.1 s off frame 6.
 constexpr double kTimeSlack = 1e-9;
 
 /// First frame boundary at or after a time.
@@ -24,9 +25,9 @@ struct KeyframeParams {
   std::vector<double> offset_m;
   template <class Visitor>
   void visit(Visitor& v) {
-    v("time_s", time_s, range(0, 1e6, "s"), "Time; later than that of the keyframe before.");
+    v("time_s", time_s, range(0, 1e6, "s"), "Ascending. At the first one the hand takes hold.");
     v("offset_m", offset_m, range(-1e3, 1e3, "m"),
-      "Where the held vertices are then, from where they were when they were taken; linear between keyframes.",
+      "Offset from where each vertex was when the hand took hold; linear between keyframes, constant after the last.",
       Length{3, "x, y, z"});
   }
 };
@@ -36,9 +37,9 @@ struct GraspParams {
   double release_s = kNever;
   template <class Visitor>
   void visit(Visitor& v) {
-    v("vertices", vertices, "Vertices that are held from the first keyframe on: indices, or names of the garment.");
+    v("vertices", vertices, "What this hand holds: indices or names, each once, at least one.");
     v("keyframes", keyframes, "At least one.");
-    v("release_s", release_s, range(0, 1e6, "s"), "When they are let go; left out: held to the end.");
+    v("release_s", release_s, range(0, 1e6, "s"), "When the hand lets go; left out, it holds to the end.");
   }
 };
 struct GroundParams {
@@ -62,22 +63,23 @@ struct SceneParams {
   std::vector<std::string> plugin_path;
   template <class Visitor>
   void visit(Visitor& v) {
-    v("description", description, "What this scene is, for people.", Decides::nothing);
-    v("seed", seed, range(0, 9e18), "Seed of everything random.");
+    v("description", description, "What the scene shows, for people.", Decides::nothing);
+    v("seed", seed, range(0, 9e18), "Seed of a simulator that draws random numbers.");
     v("plugin_path", plugin_path, "Folders searched for plugins first.", Decides::nothing);
     v("simulator", simulator, PluginSlot{"simulator"}, "Simulator plugin.");
     v("garment", garment, "The cloth: mesh and named vertices. Must be given.", FileOrMapping{});
-    v("fabric", fabric, "What it is made of. Must be given.", FileOrMapping{});
-    v("gravity_m_per_s2", gravity_m_per_s2, range(-1e3, 1e3, "m/s^2"), "Gravity.", Length{3, "x, y, z"});
+    v("fabric", fabric, "One material, not a material space. Must be given.", FileOrMapping{});
+    v("gravity_m_per_s2", gravity_m_per_s2, range(-1e3, 1e3, "m/s^2"), "Turn it to tilt the ground.",
+      Length{3, "x, y, z"});
     v("ground", ground, "The ground.");
-    v("pins", pins, "Vertices that stay where they are: indices, or names of the garment.");
+    v("pins", pins, "Vertices that never move: indices, or names of the garment.");
     v("initial_velocity_m_per_s", initial_velocity_m_per_s, range(-1e3, 1e3, "m/s"),
-      "Velocity at the start of every vertex that is not pinned.", Length{3, "x, y, z"});
+      "Of every vertex that is not pinned.", Length{3, "x, y, z"});
     v("grasps", grasps, "Hands.");
     v("duration_s", duration_s, range(kFrameSeconds / 2.0, 36000.0, "s"),
       "Simulated time, rounded up to frames of 1/60 s. Must be given.");
     v("output_every_frames", output_every_frames, range(1, kNever, "frames"),
-      "A mesh is written every so many frames.");
+      "Every how many frames a mesh is written; the last frame always is.");
   }
 };
 
@@ -96,7 +98,7 @@ void require_given(const ConfigNode& mapping, const char* key, double value) {
 
 Vec3 vec3_of(const std::vector<double>& values) { return Vec3(values.at(0), values.at(1), values.at(2)); }
 
-/// A list of vertices, by index or by the garment's names; each once.
+/// A list of vertices without repetition, by index or by the garment's names.
 std::vector<Index> vertices_in(const ConfigNode& node, const Garment& garment) {
   if (!node.is_sequence()) node.fail("must be a list of vertices");
   std::vector<Index> vertices;
@@ -173,7 +175,8 @@ void check_holds(const ConfigNode& grasps_node, const SceneRun& run) {
         if (std::find(held.begin(), held.end(), vertex) != held.end() && overlap(run.grasps[g], run.grasps[other])) {
           grasps_node[g]
               .at("vertices")
-              .fail("holds vertex " + std::to_string(vertex) + " while grasp " + std::to_string(other) + " does");
+              .fail("holds vertex " + std::to_string(vertex) + ", which grasp " + std::to_string(other) +
+                    " holds at the same time");
         }
       }
     }
@@ -189,10 +192,72 @@ ConfigNode vertices_node(const std::vector<Index>& vertices) {
   return ConfigNode::sequence(std::move(items));
 }
 
-/// What is held right now, in the order in which the simulator takes targets.
-struct Hold {
-  const SceneGrasp* grasp;
-  Positions origin;  // [vertices, 3] where they were taken hold of
+void add_warning(SceneResult& result, const std::string& text) {
+  if (!text.empty() && std::find(result.warnings.begin(), result.warnings.end(), text) == result.warnings.end()) {
+    result.warnings.push_back(text);
+  }
+}
+
+/// Adds a warning for each ability that the scene needs and the simulator does not declare.
+/// @throws ConfigError if the simulator cannot run the scene at all.
+void check_capabilities(const SceneRun& run, const SimulatorCapabilities& capabilities, SceneResult& result) {
+  if (!run.scene.pins.empty() && !capabilities.pins) {
+    throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
+  }
+  if (run.scene.ground_height && run.fabric.friction > 0.0 && !capabilities.ground_friction) {
+    add_warning(result,
+                "the fabric has ground friction, which this simulator does not declare (capability ground_friction)");
+  }
+}
+
+/// The scripted hands: the held vertices and their targets.
+class Hands {
+ public:
+  /// Releases and grasps the vertices that the script gives for the boundary before this frame.
+  void update(Simulator& simulator, const std::vector<SceneGrasp>& grasps, Index frame) {
+    for (std::size_t h = 0; h < holds_.size();) {
+      const SceneGrasp& grasp = *holds_[h].grasp;
+      if (grasp.release && frame_at(*grasp.release) <= frame) {
+        simulator.release(grasp.vertices);
+        holds_.erase(holds_.begin() + static_cast<std::ptrdiff_t>(h));
+      } else {
+        ++h;
+      }
+    }
+    for (const SceneGrasp& grasp : grasps) {
+      if (frame_at(grasp.keyframes.front().time) != frame) continue;
+      // First keyframe and release fall into the same frame, so the grasp has no effect.
+      if (grasp.release && frame_at(*grasp.release) <= frame) continue;
+      Hold hold{&grasp, Positions(static_cast<Index>(grasp.vertices.size()), 3)};
+      for (std::size_t i = 0; i < grasp.vertices.size(); ++i) {
+        hold.origin.row(static_cast<Index>(i)) = simulator.positions().row(grasp.vertices[i]);
+      }
+      simulator.grasp(grasp.vertices);
+      holds_.push_back(std::move(hold));
+    }
+  }
+  /// Targets [held, 3] m at the end of the frame, in the simulator's order of held vertices.
+  Positions targets(const Simulator& simulator, Index frame) const {
+    const std::vector<Index> held = simulator.grasped();
+    Positions targets(static_cast<Index>(held.size()), 3);
+    const double time = static_cast<double>(frame + 1) * kFrameSeconds;
+    for (const Hold& hold : holds_) {
+      const Vec3 offset = hold.grasp->offset_at(time);
+      for (std::size_t i = 0; i < hold.grasp->vertices.size(); ++i) {
+        const auto at = std::find(held.begin(), held.end(), hold.grasp->vertices[i]);
+        if (at == held.end()) throw Error("the simulator lost vertex " + std::to_string(hold.grasp->vertices[i]));
+        targets.row(at - held.begin()) = hold.origin.row(static_cast<Index>(i)) + offset.transpose();
+      }
+    }
+    return targets;
+  }
+
+ private:
+  struct Hold {
+    const SceneGrasp* grasp;
+    Positions origin;  // [vertices, 3] m, when they were grasped
+  };
+  std::vector<Hold> holds_;
 };
 
 }  // namespace
@@ -298,19 +363,8 @@ ConfigNode write_scene(const SceneRun& run, const std::string& garment_file) {
 
 SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer) {
   const auto simulator = host.create<Simulator>(run.simulator);
-  const SimulatorCapabilities capabilities = simulator->capabilities();
-  if (!run.scene.pins.empty() && !capabilities.pins) {
-    throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
-  }
   SceneResult result;
-  const auto warn = [&result](const std::string& text) {
-    if (!text.empty() && std::find(result.warnings.begin(), result.warnings.end(), text) == result.warnings.end()) {
-      result.warnings.push_back(text);
-    }
-  };
-  if (run.scene.ground_height && run.fabric.friction > 0.0 && !capabilities.ground_friction) {
-    warn("the fabric has ground friction, which this simulator does not declare (capability ground_friction)");
-  }
+  check_capabilities(run, simulator->capabilities(), result);
   simulator->reset(run.garment, run.fabric, run.scene);
   const auto look = [&](Index frame) {
     const SimulatorDiagnostics diagnostics = simulator->diagnostics();
@@ -318,51 +372,21 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
     result.final_strain = diagnostics.max_strain;
     result.max_strain = std::max(result.max_strain, diagnostics.max_strain);
     result.max_grasp_strain = std::max(result.max_grasp_strain, diagnostics.max_grasp_strain);
-    warn(diagnostics.warning);
+    add_warning(result, diagnostics.warning);
     if (observer) observer(*simulator, frame);
   };
   look(0);
 
-  std::vector<Hold> holds;
+  Hands hands;
   const Index frames = run.frames();
-  result.frame_seconds.reserve(static_cast<std::size_t>(frames));
+  result.frame_seconds.reserve(frames);
   for (Index frame = 0; frame < frames; ++frame) {
     if (host.cancelled()) {
       result.cancelled = true;
       break;
     }
-    for (std::size_t h = 0; h < holds.size();) {
-      const SceneGrasp& grasp = *holds[h].grasp;
-      if (grasp.release && frame_at(*grasp.release) <= frame) {
-        simulator->release(grasp.vertices);
-        holds.erase(holds.begin() + static_cast<std::ptrdiff_t>(h));
-      } else {
-        ++h;
-      }
-    }
-    for (const SceneGrasp& grasp : run.grasps) {
-      if (frame_at(grasp.keyframes.front().time) != frame) continue;
-      // Keyframe and release inside one frame: there is nothing to hold.
-      if (grasp.release && frame_at(*grasp.release) <= frame) continue;
-      Hold hold{&grasp, Positions(static_cast<Index>(grasp.vertices.size()), 3)};
-      for (std::size_t i = 0; i < grasp.vertices.size(); ++i) {
-        hold.origin.row(static_cast<Index>(i)) = simulator->positions().row(grasp.vertices[i]);
-      }
-      simulator->grasp(grasp.vertices);
-      holds.push_back(std::move(hold));
-    }
-    // Targets in the simulator's own order of held vertices.
-    const std::vector<Index> held = simulator->grasped();
-    Positions targets(static_cast<Index>(held.size()), 3);
-    const double time = static_cast<double>(frame + 1) * kFrameSeconds;
-    for (const Hold& hold : holds) {
-      const Vec3 offset = hold.grasp->offset_at(time);
-      for (std::size_t i = 0; i < hold.grasp->vertices.size(); ++i) {
-        const auto at = std::find(held.begin(), held.end(), hold.grasp->vertices[i]);
-        if (at == held.end()) throw Error("the simulator lost vertex " + std::to_string(hold.grasp->vertices[i]));
-        targets.row(at - held.begin()) = hold.origin.row(static_cast<Index>(i)) + offset.transpose();
-      }
-    }
+    hands.update(*simulator, run.grasps, frame);
+    const Positions targets = hands.targets(*simulator, frame);
     const auto start = std::chrono::steady_clock::now();
     simulator->step(targets);
     result.frame_seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
@@ -377,7 +401,8 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
 std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
   std::vector<double> sorted = result.frame_seconds;
   std::sort(sorted.begin(), sorted.end());
-  const auto quantile = [&sorted](double p) {
+  // The quantile is a measured value, not an interpolated one.
+  const auto nearest_rank_ms = [&sorted](double p) {
     if (sorted.empty()) return 0.0;
     const auto rank = static_cast<std::size_t>(std::ceil(p * static_cast<double>(sorted.size())));
     return 1e3 * sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1];
@@ -389,7 +414,7 @@ std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
       {"fabric", run.fabric.name},
       {"frames", result.frames},
       {"seconds", static_cast<double>(result.frames) * kFrameSeconds},
-      {"frame_ms", {{"median", quantile(0.5)}, {"p95", quantile(0.95)}}},
+      {"frame_ms", {{"median", nearest_rank_ms(0.5)}, {"p95", nearest_rank_ms(0.95)}}},
       {"max_speed_m_per_s", result.max_speed},
       {"max_strain", result.final_strain},
       {"max_strain_of_run", result.max_strain},

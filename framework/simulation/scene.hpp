@@ -11,8 +11,8 @@
 
 namespace weft {
 
-/// Vertices held from the first keyframe's time on. Targets lie `offset` from where each vertex was when it was taken
-/// hold of, linear between keyframes and constant after the last.
+/// Vertices that are held from the first keyframe on. The target of a vertex is its position when it was grasped plus
+/// the offset. The offset is linear between keyframes and constant after the last.
 struct SceneGrasp {
   struct Keyframe {
     double time = 0.0;           ///< s, ascending
@@ -42,9 +42,9 @@ struct SceneRun {
 
 /// The keys of a scene file, as `weft describe scene` shows them. N stands for the place in a list: 0, 1, ...
 std::vector<ParamInfo> describe_scene();
-/// Reads and checks a whole scene; no plugin is loaded. @throws ConfigError with file, line and key.
+/// Reads and checks a whole scene; loads no plugin. @throws ConfigError with file, line and key.
 SceneRun read_scene(const ConfigNode& config);
-/// The scene as a mapping that read_scene reads back to the same run; the garment is named `garment_file`.
+/// The scene as a mapping. read_scene reads the same run from it. Its garment is `garment_file`.
 ConfigNode write_scene(const SceneRun& run, const std::string& garment_file);
 
 struct SceneResult {
@@ -60,10 +60,11 @@ struct SceneResult {
   bool cancelled = false;
 };
 
-/// Called after every frame (and for frame 0), for output and progress.
+/// Called for frame 0 and after every frame, for output and progress.
 using SceneObserver = std::function<void(const Simulator& simulator, Index frame)>;
 
-/// Runs the scene. A grasp begins at the first frame boundary at or after its first keyframe, and ends likewise.
+/// Runs the scene. A grasp begins at the first frame boundary at or after its first keyframe, and ends at the first one
+/// at or after its release.
 /// @throws ConfigError, PluginError before any work; Diverged naming the frame.
 SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer = {});
 

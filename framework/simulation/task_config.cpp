@@ -20,11 +20,11 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   task.trajectory = host.create<Trajectory>(params.trajectory);
   task.simulator = params.simulator;
   task.settle = {params.settle.speed_m_per_s, params.settle.hold_frames, params.settle.max_frames};
-  require_shape("task: gravity", static_cast<Index>(params.scene.gravity_m_per_s2.size()), 3);
+  require_shape("task: gravity", params.scene.gravity_m_per_s2.size(), 3);
   task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
 
   auto& manipulation = task.manipulation;
-  if (static_cast<Index>(params.manipulation.grasp.size()) != task.trajectory->hands()) {
+  if (std::ssize(params.manipulation.grasp) != task.trajectory->hands()) {
     const auto hands = std::to_string(task.trajectory->hands());
     must_be(place(origin, "manipulation.grasp"), hands + " named vertices: the trajectory drives " + hands + " hands");
   }
@@ -32,21 +32,20 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {
     manipulation.grasp_vertices.push_back(blaming(place(origin, "manipulation.grasp." + std::to_string(i)),
                                                   [&] { return task.garment->vertex(params.manipulation.grasp[i]); }));
-    manipulation.grasp_points.row(static_cast<Index>(i)) =
-        task.garment->positions.row(manipulation.grasp_vertices.back());
+    manipulation.grasp_points.row(i) = task.garment->positions.row(manipulation.grasp_vertices.back());
   }
   const ConfigNode displacement = place(origin, "manipulation.displacement_m");
-  const std::string remedy = "; it gives the direction of the fold, and `weft displacement` tunes its length";
+  const std::string remedy = "; its direction is that of the fold, and `weft displacement` tunes its length";
   if (params.manipulation.displacement_m.empty()) must_be(displacement, "a list of 2 numbers, m" + remedy);
-  require_shape("task: displacement", static_cast<Index>(params.manipulation.displacement_m.size()), 2);
+  require_shape("task: displacement", params.manipulation.displacement_m.size(), 2);
   manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
   manipulation.drop_height = params.manipulation.drop_height_m;
-  // One path for every fabric: the targets clear the ground under the thickest one.
+  // All fabrics share one path, so the targets must clear the ground with the thickest one.
   const auto& thickness = task.material.ranges[3];
   manipulation.contact_height = task.scene.ground_height.value_or(0.0) + std::max(thickness.low, thickness.high);
   manipulation.grasp_points.col(2).setConstant(manipulation.contact_height);
   try {
-    task.trajectory->initial_state(manipulation);  // refuses |d| = 0 and the like here, before any work
+    task.trajectory->initial_state(manipulation);  // refuses a bad manipulation, such as |d| = 0, before any work
   } catch (const ConfigError& error) {
     fail_because(displacement, error.what() + remedy);
   }

@@ -8,8 +8,8 @@ namespace weft {
 /// Length of a list with a number for each material property.
 Length property_list();
 
-/// What a task file says about the cloth, the hands and the world; shared by every command. The rest of a task file
-/// (planning, goal, ...) belongs to the command that reads it.
+/// The keys of a task file about the cloth, the hands and the world. Every command has them. Each command declares its
+/// other keys (planning, goal, ...) itself.
 struct TaskParams {
   ConfigNode garment;
   ConfigNode material;
@@ -21,7 +21,7 @@ struct TaskParams {
     double drop_height_m = 0.05;
     template <class Visitor>
     void visit(Visitor& v) {
-      v("grasp", grasp, "The two named vertices that the hands hold: the paper's g_0.");
+      v("grasp", grasp, "Names of the two held vertices: the paper's g_0.");
       v("displacement_m", displacement_m, range(-10, 10, "m"),
         "d: displacement of the grasp points' midpoint; `weft displacement` tunes its length.", Length{2, "x, y"});
       v("drop_height_m", drop_height_m, range(0, 1, "m"),
@@ -42,18 +42,18 @@ struct TaskParams {
     template <class Visitor>
     void visit(Visitor& v) {
       v("speed_m_per_s", speed_m_per_s, range(1e-5, 1, "m/s"), "Largest vertex speed of a settled cloth.");
-      v("hold_frames", hold_frames, range(1, 1000, "frames"), "How long the speed must stay below it.");
-      v("max_frames", max_frames, range(1, 100000, "frames"), "When to give up waiting.");
+      v("hold_frames", hold_frames, range(1, 1000, "frames"), "Frames in a row below that speed.");
+      v("max_frames", max_frames, range(1, 100000, "frames"), "Stop waiting after this many frames.");
     }
   } settle;
 
   template <class Visitor>
   void visit(Visitor& v) {
     v("garment", garment, "The cloth: mesh and named vertices.", FileOrMapping{});
-    v("material", material, "Material space: the fabric that each normalised property stands for.", FileOrMapping{});
+    v("material", material, "Material space: maps normalised properties to a fabric.", FileOrMapping{});
     v("simulator", simulator, PluginSlot{"simulator"}, "Simulator plugin of the executed fold.");
     v("trajectory", trajectory, PluginSlot{"trajectory"}, "Trajectory plugin.");
-    v.group("manipulation", manipulation, "What the hands hold and where they bring it.");
+    v.group("manipulation", manipulation, "What the hands hold and where they move it.");
     v.group("scene", scene, "The world around the cloth.");
     v.group("settle", settle, "When the released cloth counts as settled.");
   }
@@ -61,13 +61,13 @@ struct TaskParams {
 
 /// Builds the task: loads the garment and the material space, makes the trajectory.
 /// The manipulation's contact height is that of the thickest cloth in the material space.
-/// @param params read by read_params; @param origin the node that they came from, for messages.
+/// @param params from read_params(); @param origin the node they were read from, for messages.
 /// @throws ConfigError, PluginError.
 Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host);
 
-/// Lays the task's garment, of the fabric in the middle of its range, into a simulator, and logs what the simulator
-/// warns of: a wrong simulator, or one that cannot honour the fabric, shows before any work.
-/// @throws what making and resetting it throws.
+/// Makes the simulator, resets it with the task's garment and the fabric in the middle of its range, and logs its
+/// warnings. So a wrong or unsuitable simulator is reported before any work.
+/// @throws what creating or resetting the simulator throws.
 void check_simulator(const ConfigNode& slot, const Task& task, Host& host);
 
 }  // namespace weft

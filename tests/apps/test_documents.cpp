@@ -1,6 +1,5 @@
-// Links in the documents lead somewhere, and tables of parameters are the program's.
+// Tables of parameters in the documents are the program's. Links and names are checked by tests/documents.
 #include <fstream>
-#include <regex>
 
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
@@ -9,33 +8,6 @@ namespace weft {
 namespace {
 
 namespace fs = std::filesystem;
-
-TEST(Documents, LinksToFilesLeadSomewhere) {
-  const fs::path root = WEFT_SOURCE_DIR;
-  std::vector<fs::path> files;
-  for (const fs::path& folder : {root, root / "docs"}) {
-    for (const auto& item : fs::directory_iterator(folder)) {
-      if (item.path().extension() == ".md") files.push_back(item.path());
-    }
-  }
-  ASSERT_GE(files.size(), 4u);
-  const std::regex link("\\]\\(([^)#]+)(#[^)]*)?\\)");
-  for (const auto& file : files) {
-    // Code blocks hold no links, but C++ lambdas look like them.
-    std::string prose;
-    bool code = false;
-    std::ifstream stream(file);
-    for (std::string line; std::getline(stream, line);) {
-      if (line.starts_with("```")) code = !code;
-      if (!code) prose += line + "\n";
-    }
-    for (std::sregex_iterator it(prose.begin(), prose.end(), link), end; it != end; ++it) {
-      const std::string target = (*it)[1];
-      if (target.starts_with("http")) continue;
-      EXPECT_TRUE(fs::exists(file.parent_path() / target)) << file << " links to " << target;
-    }
-  }
-}
 
 TEST(Documents, ParameterTablesAreThoseOfTheProgram) {
   const fs::path root = WEFT_SOURCE_DIR;

@@ -1,5 +1,5 @@
-// evaluate planning and evaluate estimation as people use them, on a coarse towel with an untrained network: what they
-// write, that they survive being killed, and that they repeat.
+// evaluate planning and evaluate estimation as people use them, on a coarse towel with an untrained network. They write
+// complete results, survive being killed, and repeat.
 #include <algorithm>
 #include <cmath>
 #include <fstream>
@@ -40,7 +40,7 @@ json read(const std::filesystem::path& file) {
   std::ifstream stream(file);
   return json::parse(stream);
 }
-/// A result without what the clock decides.
+/// A result without its times.
 json without_seconds(json value) {
   if (value.is_object()) {
     for (auto it = value.begin(); it != value.end();) {
@@ -74,7 +74,7 @@ TEST(EvaluatePlanning, IsResumedAfterBeingKilledAndRepeats) {
   const auto shapes = Hdf5File::open(folder / "whole/cases.h5");
   EXPECT_EQ(shapes.shape("/planning/finals")[0], 4);
   EXPECT_EQ(shapes.shape("/planning/goals")[0], 2);
-  // Another config does not go on in the same folder.
+  // A run with another config is refused in the same folder.
   const Outcome other = weft_command(command + "--set planning.noise=2 --out " + quoted(folder / "whole"));
   EXPECT_EQ(other.code, 2);
   EXPECT_THAT(other.output, HasSubstr("another config"));
@@ -101,11 +101,11 @@ TEST(EvaluateEstimation, FreshCasesAreResumedAfterBeingKilledAndRepeat) {
   EXPECT_EQ(result["goals"], "fresh");
   EXPECT_EQ(result["n"], 4);
   EXPECT_TRUE(result["complete"]);
-  // Other materials each, and a manipulation each.
+  // Each case has its own material and manipulation.
   EXPECT_NE(result["cases"][0]["true_material"], result["cases"][1]["true_material"]);
   for (const auto& one : result["cases"]) EXPECT_GE(one["knowledge"].size(), 4u);
 
-  // Killed as soon as the first case is there.
+  // Killed as soon as the first case is written.
   const auto cells = folder / "parts/fresh/cells";
   test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + command + "--out " + quoted(folder / "parts") +
                   " & pid=$!; for i in $(seq 3000); do ls " + quoted(cells) +
@@ -141,7 +141,7 @@ TEST(EvaluatePlanning, GoalsOfASplitAreWhatItsExamplesBecame) {
     EXPECT_EQ((*column)["by_width"][0]["n"], 2);
     EXPECT_GT((*column)["by_width"][0]["mean_mm"].get<double>(), 0.0);
   }
-  // The example's controls and its material together make its goal: it is the example's last shape.
+  // The goal is the example's last shape, since controls and material are the example's.
   const Dataset data = load_dataset(folder / "data");
   const auto goals = Hdf5File::open(folder / "out/cases.h5").read_float("/planning/goals");
   const auto size = static_cast<std::size_t>(data.header.vertices * 3);
@@ -179,7 +179,7 @@ TEST(EvaluateEstimation, ComparesMethodsOnHeldOutAndOnTrainingExamples) {
   EXPECT_EQ(result["cases"].size(), 2u);
   EXPECT_GE(result["cases"][0]["knowledge"].size(), 5u);
   EXPECT_EQ(result["calibration"]["deviation_scale"].size(), 4u);
-  // A shape of the manipulation for every estimate, before the first one included.
+  // One shape of the manipulation per estimate, also for the one before the first segment.
   const auto shapes = Hdf5File::open(folder / "out/cases.h5");
   std::vector<std::int64_t> first{0};
   for (const auto& one : result["cases"])

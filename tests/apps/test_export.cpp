@@ -88,7 +88,7 @@ TEST_F(Export, RecordsTheReleaseAndTheSettling) {
   EXPECT_EQ(session_->settle_frames(), summary.at("settle_frames").get<Index>());
   EXPECT_GT(session_->settle_frames(), 6);
   EXPECT_LT((session_->frames.back() - session_->final_shape).cwiseAbs().maxCoeff(), 1e-6);
-  // The held corners are where the executed path ended until the hands let go; then they fall.
+  // The held corners are at the end of the executed path until the hands let go. Then they fall.
   const auto release = static_cast<std::size_t>(session_->segment_frame(session_->segments()));
   const Index corner = session_->grasp_vertices.at(0);
   EXPECT_GT(frame(release)(corner, 2), 0.03);
@@ -97,7 +97,7 @@ TEST_F(Export, RecordsTheReleaseAndTheSettling) {
 }
 
 TEST_F(Export, SessionRecordsWherePlansWouldTakeTheHands) {
-  // The first segment of each plan is the one that was executed, so the held vertices went where it says.
+  // The first segment of each plan was executed, so the held vertices followed it.
   for (Index r = 0; r < session_->segments(); ++r) {
     const auto& round = session_->rounds[static_cast<std::size_t>(r)];
     ASSERT_EQ(static_cast<Index>(round.targets.size()), round.controls.rows() * kFramesPerSegment);
@@ -312,7 +312,7 @@ TEST_F(Export, StillsShowTheCloth) {
   const Picture start = read_png(out / "frame-0000.png"), end = read_png(out / name);
   EXPECT_EQ(start.width, 480);
   EXPECT_EQ(start.height, 300);
-  // Flat, the front is up; folded in two, the back of half of it is.
+  // The flat cloth shows its front. Folded in two, half of it shows its back.
   EXPECT_GT(start.blue(), 10000);
   EXPECT_LT(start.orange(), start.blue() / 50);
   EXPECT_GT(end.orange(), 3000);
@@ -346,7 +346,7 @@ TEST_F(Export, StillsColourByDistanceAndLeaveOutTheBackground) {
   EXPECT_THAT(outcome.output, HasSubstr("0 to 400 mm"));
   const Picture picture = read_png(file);
   EXPECT_GT(picture.count([](int, int, int, int a) { return a == 0; }), 10000);
-  // What moves farthest is at the far end of viridis, what stays is dark violet.
+  // The vertex that moves farthest has the last colour of viridis; resting ones are dark violet.
   EXPECT_GT(picture.count([](int r, int g, int b, int a) { return a == 255 && r > 120 && g > 180 && b < 120; }), 300);
   EXPECT_GT(picture.count([](int r, int g, int b, int a) { return a == 255 && g < 60 && b > r; }), 300);
 }
@@ -365,7 +365,7 @@ TEST_F(Export, WrongUseAndDamagedFilesAreRefused) {
   auto other = Hdf5File::create(*folder_ / "other.h5");
   other.write("/schema", std::string("something else"));
   other.commit();
-  refused(weft_command("export '" + (*folder_ / "other.h5").string() + "' --to obj"), "this is no recorded session");
+  refused(weft_command("export '" + (*folder_ / "other.h5").string() + "' --to obj"), "this is not a recorded session");
 }
 
 }  // namespace

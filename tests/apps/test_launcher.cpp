@@ -59,11 +59,26 @@ TEST_F(Launcher, ConfiguresBuildsAndRunsInTheCallersFolder) {
   EXPECT_EQ(first.code, 7);  // the program's own
   EXPECT_THAT(first.output, HasSubstr("weft in " + (folder_ / "else where").string() + ": run a b.yaml --set x=1\n"));
   EXPECT_THAT(log(), AllOf(HasSubstr("-DCMAKE_BUILD_TYPE=Release"), HasSubstr("-DWEFT_BUILD_TESTS=OFF"),
-                           HasSubstr("build/release weft_programs"), Not(HasSubstr("apt-get"))));
-  // The second time it says nothing and configures nothing.
+                           HasSubstr("build/release weft_without_torch"), Not(HasSubstr("apt-get"))));
+  // The second run prints nothing and configures nothing.
   const auto second = launch("plugins 2>&1 >/dev/null");
   EXPECT_THAT(second.output, IsEmpty());
   EXPECT_THAT(log(), AllOf(StartsWith("ninja "), Not(HasSubstr("cmake"))));
+}
+
+TEST_F(Launcher, BuildsWhatNeedsLibtorchOnFirstUse) {
+  folder_.write("base.yaml", "predictor: {plugin: torchscript, params: {module: m.pt}}\n");
+  folder_.write("task.yaml", "extends: \"base.yaml\"\nseed: 3\n");
+  folder_.write("other.yaml", "predictor: {plugin: emd}\n");
+  const auto target = [&](const std::string& arguments) {
+    launch(arguments);
+    return log();
+  };
+  for (const char* with : {"train x.yaml", "conformance torchscript", "plugins", "run task.yaml",
+                           "run other.yaml --set predictor.plugin=torchscript", "evaluate prediction other.yaml"})
+    EXPECT_THAT(target(with), HasSubstr("build/release weft_programs")) << with;
+  for (const char* without : {"run other.yaml", "run missing.yaml", "simulate other.yaml", "--help"})
+    EXPECT_THAT(target(without), HasSubstr("build/release weft_without_torch")) << without;
 }
 
 TEST_F(Launcher, TestBuildsTheTestsAndRunsThemAll) {

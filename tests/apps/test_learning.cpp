@@ -1,5 +1,5 @@
-// generate, train and evaluate as people use them, on a coarse towel: killed at any moment, the same command finishes
-// the rest and the result equals an uninterrupted run.
+// generate, train and evaluate as people use them, on a coarse towel. After a kill at any moment the same command
+// finishes the rest, and the result equals that of an uninterrupted run.
 #include <fstream>
 #include <functional>
 #include <iterator>
@@ -82,7 +82,7 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
     return;
   }
   ASSERT_EQ(trained.code, 0) << trained.output;
-  // Killed as soon as the first checkpoint is there.
+  // Killed as soon as the first checkpoint is written.
   test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + train + quoted(folder / "b/model.h5") +
                   " & pid=$!; for i in $(seq 600); do test -e " + quoted(folder / "b/model.checkpoint.h5") +
                   " && break; sleep 0.05; done; kill -KILL $pid; wait $pid");
@@ -101,10 +101,10 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   const double error = figures.at("settled").at("from_start").at("mean_mm");
   EXPECT_LT(error, figures.at("baselines").at("persistence").at("mean_mm").get<double>());
   EXPECT_LT(error, figures.at("baselines").at("mean_shape").at("mean_mm").get<double>());
-  // Held out, and said to be nothing else.
+  // The examples are held out, and no warning says otherwise.
   EXPECT_THAT(evaluated.output, Not(HasSubstr("warning")));
-  // Whoever knows nothing of the material predicts with more doubt; in 50 examples that is learned before the errors
-  // differ. Sigma is neither far too small nor so large that everything lies within it.
+  // A prediction without knowledge of the material has a larger sigma; from 50 examples the network learns that before
+  // the errors differ. Sigma is neither far too small nor so large that everything lies within it.
   const auto settled = [&](const char* what, const char* figure) {
     return figures.at("settled").at(what).at(figure).get<double>();
   };
@@ -126,7 +126,7 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
     }
   }
   EXPECT_THAT(bytes_of(folder / "e/prediction.csv"), HasSubstr("settled.no_knowledge"));
-  // Standard errors; predictions from within an example are several, and one observation.
+  // Standard errors: several predictions from within one example count as one observation.
   const auto& from_start = figures.at("settled").at("from_start");
   double squares = 0.0;
   for (const auto& one : figures.at("cases")) squares += std::pow(one.at("error_mm").get<double>() - error, 2);
@@ -160,8 +160,8 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   EXPECT_EQ(all_starts.at("by_step_from_random").size(), all_starts.at("by_step").size() - 1);
   EXPECT_EQ(all_starts.at("by_step"), one_start.at("by_step"));
 
-  // The same examples with other split fractions: most of their test split was trained on. Every command that reads
-  // it says so, and that a split of examples that nobody trained on is no train split.
+  // The same examples with other split fractions: the model was trained on most of their test split. Every command that
+  // reads it warns, and so it does of a train split on which nobody trained.
   for (const auto& file : list_shards(whole)) {
     Shard shard = read_shard(file);
     shard.header.test_fraction = 0.5;
@@ -239,7 +239,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
     for (const double factor : row.at("factor")) EXPECT_GT(factor, 0.0);
   }
   EXPECT_TRUE(told.at("details").at("sigma_layer").contains("held_out_loss"));
-  // The same again, and as JSON; the model that it began with is untouched.
+  // The same command again, with JSON output. The model that it began with does not change.
   const std::string before = bytes_of(model), made = bytes_of(out);
   const Outcome again =
       weft_command(command + "--jobs 1 --json --data " + quoted(fresh) + " " + quoted(known) + " --out " + quoted(out));
@@ -248,7 +248,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_TRUE(bytes_of(out) == made) << "not the same bytes";
   EXPECT_TRUE(bytes_of(model) == before);
 
-  // The new model works, and says what it was calibrated on.
+  // The new model works, and its file names the data of its calibration.
   const auto warnings = [&](const std::filesystem::path& of, const std::string& split) {
     const Outcome outcome =
         weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) +
@@ -264,14 +264,14 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_THAT(warnings(model, "all"), Not(HasSubstr("warning")));
   const auto every = nlohmann::json::parse(bytes_of(folder / "e/prediction.json"));
   EXPECT_EQ(every.at("by_step")[0].at("n"), 24);
-  // Of several datasets, all.
+  // All of several datasets are read.
   const Outcome both =
       weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) + " " + quoted(known) +
                    " --set evaluation.baselines=false --set evaluation.split=all " +
                    "--set predictor.params.model=" + quoted(model) + " --out " + quoted(folder / "e2"));
   EXPECT_THAT(both.output, HasSubstr("of the 64 examples may not be held out"));
   EXPECT_EQ(nlohmann::json::parse(bytes_of(folder / "e2/prediction.json")).at("by_step")[0].at("n"), 64);
-  // No lookup finds the very example that it is asked for.
+  // The lookup never finds the queried example itself.
   const Outcome baselines = weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) +
                                          " --set evaluation.split=all --set predictor.params.model=" + quoted(model) +
                                          " --out " + quoted(folder / "e3"));
@@ -280,7 +280,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_TRUE(found.contains("persistence"));
   EXPECT_FALSE(found.contains("nearest_example"));
 
-  // Bad input is one line, and nothing is written.
+  // Bad input gives a message of one line, and no file is written.
   const auto refused = [&](const std::string& arguments) {
     const Outcome outcome = weft_command(arguments);
     EXPECT_EQ(outcome.code, 2) << outcome.output;
@@ -293,7 +293,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_THAT(refused(with_fresh), HasSubstr("--out MODEL is required"));
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "x")), HasSubstr("must end in .h5"));
   EXPECT_THAT(refused(command + "--out " + quoted(folder / "x.h5")), HasSubstr("--data FOLDER is required"));
-  EXPECT_THAT(refused(with_fresh + " --out " + quoted(model)), HasSubstr("is the model that is calibrated"));
+  EXPECT_THAT(refused(with_fresh + " --out " + quoted(model)), HasSubstr("is the model to calibrate"));
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(model / "x.h5")), HasSubstr("its folder cannot be made"));
   std::filesystem::create_directory(folder / "folder.h5");
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "folder.h5")), HasSubstr("is a folder"));
@@ -308,10 +308,10 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
               HasSubstr("does not learn"));
   EXPECT_THAT(refused(with_fresh + to_x + " --set garment='" WEFT_SOURCE_DIR "/configs/garments/towel.yaml'"),
               HasSubstr("was trained for the garment"));
-  // What it was trained on, without the validation split.
+  // The data of the training, without the validation split.
   ASSERT_EQ(weft_command("dataset split " + quoted(known) + " --out " + quoted(folder / "s")).code, 0);
   EXPECT_THAT(refused(command + "--data " + quoted(fresh) + " " + quoted(folder / "s/train") + to_x),
-              HasSubstr("s/train: holds no example outside of its test split"));
+              HasSubstr("s/train: outside its test split it holds only examples that the model was trained on"));
   EXPECT_FALSE(std::filesystem::exists(folder / "x.h5"));
   EXPECT_FALSE(std::filesystem::exists(folder / "x.calibration.json"));
 }
@@ -339,7 +339,7 @@ TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhenItsConfigSaysTheSame) {
     EXPECT_EQ(now.header.config, earlier) << file;
   }
   EXPECT_EQ(weft_command("dataset check " + quoted(data)).code, 0);
-  // Said otherwise, with or without a later default, it is another dataset; the folder stays what it was.
+  // Another value makes another dataset, with or without a later default. The folder does not change.
   const Outcome other = weft_command(generate + " --examples 34 --set simulator.params.settle_damping_per_s=7");
   EXPECT_EQ(other.code, 2);
   EXPECT_THAT(other.output, HasSubstr("belongs to another dataset"));

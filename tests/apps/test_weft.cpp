@@ -3,7 +3,7 @@
 #include <nlohmann/json.hpp>
 #include <regex>
 
-#include "experiments/sweep.hpp"
+#include "experiments/ablation.hpp"
 #include "loader/registry.hpp"
 #include "session/session.hpp"
 #include "unit/test_program.hpp"
@@ -30,7 +30,7 @@ std::string text_of(const std::filesystem::path& file) {
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 const std::string kTask = WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold.yaml";
-/// A fold of a coarse towel, planned with the simulator: seconds. Keys that are not here are up to the test.
+/// A fold of a coarse towel, planned with the simulator in seconds. A test adds the other keys.
 const std::string kTowelTask = "garment: " WEFT_SOURCE_DIR
                                "/configs/garments/towel_coarse.yaml\n"
                                "material: " WEFT_SOURCE_DIR
@@ -65,11 +65,11 @@ TEST(Program, WrongUseExitsWithTwoAndSaysWhy) {
 TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
   const std::string experiments = WEFT_SOURCE_DIR "/configs/experiments/";
   const std::pair<std::string, std::string> cases[] = {
-      {"pln x", "'pln' is no command of weft, must be one of run, plan, "},
+      {"pln x", "'pln' is not a command of weft, must be one of run, plan, "},
       {"pln x", "; nearest: plan\n"},
-      {"bogus --help", "'bogus' is no command of weft, must be one of "},
-      {"evaluate fig3 x.yaml", "'fig3' is no command of weft evaluate, must be one of "},
-      {"garment towl --out x.obj", "'towl' is no command of weft garment, must be one of towel, tshirt, "},
+      {"bogus --help", "'bogus' is not a command of weft, must be one of "},
+      {"evaluate fig3 x.yaml", "'fig3' is not a command of weft evaluate, must be one of "},
+      {"garment towl --out x.obj", "'towl' is not a command of weft garment, must be one of towel, tshirt, "},
       {"plan x.yaml --session y --segment 0", "--segment: 0, must be at least 1"},
       {"garment towel --out x.obj --width nan", "--width: nan, must be in ["},
       {"evaluate planning x.yaml --widths nan", "--widths: nan, must be in [0, 1]"},
@@ -78,8 +78,8 @@ TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
       {"export nofile", "nofile: no such file, must be session.h5 or the folder of a run"},
       {"export nofile --png abc", "--png: abc, must be last, all, or the number of a frame"},
       {"conformance ./nope.so", "./nope.so: refused: no such file"},
-      {"conformance arc --kind bogus", "'bogus' is no kind of plugin, must be one of simulator, predictor, "},
-      {"describe arc/arc", "'arc' is no kind of plugin, must be one of simulator, predictor, "},
+      {"conformance arc --kind bogus", "'bogus' is not a kind of plugin, must be one of simulator, predictor, "},
+      {"describe arc/arc", "'arc' is not a kind of plugin, must be one of simulator, predictor, "},
       {"describe tasks", "no plugin is called 'tasks'"},
       {"describe tasks", "; nearest: task\n"},
       {"describe arc --set r_min_m=3", "--set: r_min_m is not a known key"},
@@ -209,7 +209,7 @@ TEST(Program, TheShippedTaskFoldsWithTheShippedModel) {
       weft_command("run '" + kTask + "' --seed 5003 --quiet --out '" + folder.path().string() + "'");
   ASSERT_EQ(outcome.code, 0) << outcome.output;
   const auto summary = nlohmann::json::parse(text_of(folder / "summary.json"));
-  // 1.2 mm when the model was made; a damaged or foreign model ends tens of millimetres off.
+  // The error was 1.2 mm when the model was made. A damaged or foreign model ends tens of millimetres off.
   EXPECT_LT(summary["error_mm"].get<double>(), 10.0);
   EXPECT_GT(summary["default_error_mm"].get<double>(), 40.0);
 }
@@ -313,7 +313,7 @@ TEST(Program, AblateComparesSimulatorsOnThePhysicsSuite) {
     EXPECT_EQ(metrics["paired folds: edge/triangle crossings"]["mean"], 0.0) << arm;
     EXPECT_GT(metrics["paired folds: CPU ms per frame"]["mean"], 0.0) << arm;
   }
-  // Only another simulator than `other` has a distance to it.
+  // Distances to `other` are given only for another simulator.
   const auto distance = [&](int arm) { return json["arms"][arm]["metrics"]["paired folds: mean vertex distance mm"]; };
   EXPECT_EQ(distance(0)["n"], 0);
   EXPECT_EQ(distance(1)["n"], 1);
@@ -395,7 +395,7 @@ TEST(Program, DescribeShowsParametersWithUnitsRangesAndDefaults) {
   EXPECT_EQ(keys["estimation.deviation_scale"].at("length"), 4);
   EXPECT_EQ(keys["refinement.predictor"].at("slot"), "predictor");
   EXPECT_EQ(keys["estimation.method"].at("choices").size(), 3u);
-  // Of the task, and of how examples are made: what a dataset's identity is made of.
+  // The keys of the task and of how examples are made: a dataset's identity consists of them.
   for (const char* name : {"seed", "garment", "settle.max_frames", "trajectory", "data.jitter"})
     EXPECT_EQ(keys[name].at("decides"), "examples") << name;
   for (const char* name : {"planning.iterations", "goal.horizon", "predictor", "dataset"})

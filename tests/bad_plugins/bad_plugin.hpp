@@ -1,7 +1,7 @@
 #pragma once
 #include "unit/toy_trajectory.hpp"
 
-// The parts that WEFT_PLUGIN writes, one by one, so that a bad plugin can have all but one of them right.
+// The parts that WEFT_PLUGIN writes, one by one, so that a bad plugin can have exactly one of them wrong.
 #define GOOD_INFO(name) weft::make_plugin_info<weft::Trajectory>(name, "1.0.0")
 #define EXPORT_INFO(info) extern "C" WEFT_API const weft::WeftPluginInfo weft_plugin_info = info;
 #define EXPORT_FUNCTIONS(Impl, Params)                                                                          \

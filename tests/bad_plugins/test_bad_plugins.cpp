@@ -18,7 +18,7 @@ using ::testing::StartsWith;
 
 const fs::path kFolder = WEFT_BAD_PLUGINS;
 
-// What is refused before any C++ call, and the part of the message that tells why.
+// Libraries that are refused before any C++ call, and the part of the message that gives the reason.
 const std::map<std::string, std::string>& refusals() {
   static const std::map<std::string, std::string> map = {
       {"missing_symbol",
@@ -28,7 +28,7 @@ const std::map<std::string, std::string>& refusals() {
                                       std::to_string(Trajectory::kVersion) + "; rebuild it with this weft's headers"},
       {"wrong_abi", "built as 'weft1 gxxabi1002 cxx11abi0 eigen3.3.9 align16', this weft is '" WEFT_ABI_TAG
                     "'; build it with weft_add_plugin()"},
-      {"no_mark", "weft_plugin_info does not start with the mark of weft"},
+      {"no_mark", "weft_plugin_info does not start with 'weftplu'"},
       {"wrong_size", "weft_plugin_info has 32 bytes, this weft's has " + std::to_string(sizeof(WeftPluginInfo))},
       {"no_name", "has no name"},
       {"not_a_library", "cannot be loaded as a shared library: "},
@@ -81,7 +81,7 @@ TEST(BadPlugins, ThoseThatFailLaterSayWhichLibraryAndWhy) {
             file("throws_at_create") + ": creating throws_at_create failed: the constructor gave up");
   EXPECT_EQ(message_of<PluginError>([&] { create("throws_no_exception"); }),
             file("throws_no_exception") +
-                ": creating throws_no_exception failed: it threw something that is no std::exception");
+                ": creating throws_no_exception failed: it threw something that is not a std::exception");
   EXPECT_EQ(message_of<ConfigError>([&] { create("throws_own_error"); }), "throws_own_error: an error of its own");
   EXPECT_EQ(message_of<PluginError>([&] { create("returns_null"); }),
             file("returns_null") + ": creating returns_null failed: it returned nothing");

@@ -1,5 +1,5 @@
-// What the meeting of the threads costs: evaluations of an objective that takes no time, by one thread in a loop and by
-// a thread per instance. Time per iteration of the benchmark = time per batch; items = points.
+// The cost of the meeting of the threads: evaluations of an objective that takes no time, by one thread in a loop and
+// by a thread per instance. Time per iteration of the benchmark = time per batch; items = points.
 #include <benchmark/benchmark.h>
 
 #include "weft/batching.hpp"

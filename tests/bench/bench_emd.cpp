@@ -145,8 +145,9 @@ class Timed final : public Objective {
   Controls controls_;
 };
 
-/// What the threads of a search and their meetings add to its predictions, percent of them; 16 instances, 25 segments.
-/// CPU time is the one to read on a machine that does something else as well.
+/// Time that the threads of a search and their meetings add to its predictions, percent of them; 16 instances, 25
+/// segments.
+/// Read the CPU time on a machine that does other work as well.
 void batching_overhead(benchmark::State& state) {
   constexpr Index instances = 16, batches = 20;
   Bench bench(1, instances, 25, false);
@@ -172,7 +173,7 @@ void batching_overhead(benchmark::State& state) {
 }
 BENCHMARK(batching_overhead)->Unit(benchmark::kMillisecond)->UseRealTime();
 
-/// The products alone, without trajectory, copies and results: what the rest is measured against.
+/// The products alone, without trajectory, copies and results: the reference for the other benchmarks.
 void network_alone(benchmark::State& state) {
   Bench bench(1, 1, 1, false);
   const emd::Model model = emd::untrained_model(emd::Architecture{}, bench.task, 1);

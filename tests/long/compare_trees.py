@@ -121,7 +121,7 @@ class Tree:
             return ""
         if run.needs and not (self.folder / run.needs / "made_by.json").is_file():
             return f"needs {run.needs}, which is not there"
-        # Started again from nothing: weft goes on where a folder of examples or a training stopped.
+        # Starts from an empty folder, because weft would resume a stopped generation or training.
         part = self.folder / (run.key + ".part")
         shutil.rmtree(part, ignore_errors=True)
         shutil.rmtree(out, ignore_errors=True)
@@ -142,7 +142,7 @@ class Tree:
 
 @dataclass
 class Comparison:
-    """What comparing the files of one run found."""
+    """The result of comparing the files of one run."""
 
     compared: int = 0  # numbers and texts
     differences: list = field(default_factory=list)
@@ -158,7 +158,7 @@ class Comparison:
 
 
 def leaves(value, path=""):
-    """Every number, text and truth value of a JSON value by its path, without what is left out."""
+    """Every number, text and truth value of a JSON value by its path, without the left-out entries."""
     if isinstance(value, dict):
         for name, item in value.items():
             if "seconds" not in name and name not in LEFT_OUT_OF_JSON:

@@ -1,5 +1,5 @@
 #pragma once
-// What the tests of the learned predictor share: a small garment, quick settings, and a dataset made without simulator.
+// Shared by the tests of the learned predictor: a small garment, quick settings, and a dataset made without simulator.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 

@@ -1,9 +1,10 @@
-// What only `bullet` promises: the calibration from SI units, and the fold's stability. The laws are in conformance.
+// Promises that only `bullet` makes: the calibration from SI units, and the fold's stability. The laws are in
+// conformance.
 #include <gtest/gtest.h>
 
 #include <thread>
 
-#include "experiments/physics/physics.hpp"
+#include "experiments/physics/suite.hpp"
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
 #include "simulation/task_config.hpp"
@@ -99,7 +100,7 @@ PhysicsRow physics(const std::string& test, const std::string& name, const std::
   throw Error("no case " + test + " " + name);
 }
 
-// The mesh is the larger error, and stated in the README; the step must not be one.
+// The mesh causes the larger error, which the README states. The error of the step must stay below it.
 TEST(BulletPhysics, HangingStripExtendsByDensityGLSquaredOver2K) {
   for (const char* name : {"20 mm regular along warp", "10 mm regular along warp"}) {
     const auto coarse = physics("hanging", name, "link_step: 0.5"), fine = physics("hanging", name, "link_step: 0.25");

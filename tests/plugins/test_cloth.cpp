@@ -1,4 +1,4 @@
-// The cloth simulator's parts against plain versions, and its promises as a simulator. Closed forms:
+// The parts of the cloth simulator against plain versions, and its promises as a simulator. Closed forms are in
 // test_cloth_physics.cpp.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -25,9 +25,8 @@
 namespace {
 std::atomic<long> allocations{0};
 }
-// Counts what the program allocates, for AllocatesNothingInTheFrameLoop. (Aligned new goes through malloc-family calls
-// too.)
-// The compiler inlines the pairs and takes malloc and delete for a mismatch.
+// Counts the program's allocations, for AllocatesNothingInTheFrameLoop. (Aligned new goes through malloc-family calls,
+// too.) The compiler inlines the pairs and reports malloc and delete as a mismatch.
 #pragma GCC diagnostic ignored "-Wmismatched-new-delete"
 void* operator new(std::size_t size) {
   ++allocations;
@@ -363,7 +362,7 @@ TEST(ClothMassScaling, BoundOfTheEigenvaluesHoldsWhateverIsHeld) {
 }
 
 TEST(ClothMassScaling, IsSymmetricPositiveAndKeepsMomentum) {
-  // A number of vertices that eight divides, and one that it does not.
+  // Numbers of vertices that are divisible by eight, and not.
   for (const auto& [held, rows] : {std::pair(0.0, 24), std::pair(0.1, 24), std::pair(0.0, 23), std::pair(0.1, 23)}) {
     const Scaled scaled(0.01, held, 25, rows);
     const std::size_t n = scaled.masses.size();
@@ -446,7 +445,7 @@ struct Fold {
   Positions start;
 };
 std::shared_ptr<const Garment> folding_sheet() { return std::make_shared<const Garment>(sheet(20, 12, 0.02, 0.5)); }
-/// As large, and so fine that inertia is scaled and candidates are found for few vertices.
+/// A sheet of the same size, so fine that inertia is scaled and candidates are searched for few vertices.
 std::shared_ptr<const Garment> fine_sheet() { return std::make_shared<const Garment>(sheet(60, 36, 0.0065, 0.3)); }
 constexpr Index kFineRow = 60;
 
@@ -835,7 +834,7 @@ TEST(Cloth, StiffnessProportionalDampingTakesMoreSubstepsAndStaysStable) {
 }
 
 TEST(Cloth, BendingDampingTakesVibrationAndLeavesTheTurning) {
-  // A bent sheet that turns about the axis it is bent around, in free space: it straightens and vibrates.
+  // A bent sheet that turns about its bending axis in free space: it straightens and vibrates.
   Fabric f = fabric();
   f.damping_air_per_s = 0.0;
   f.bend_warp_n_m = f.bend_weft_n_m = f.bend_bias_n_m = 2e-4;

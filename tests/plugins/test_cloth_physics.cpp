@@ -1,7 +1,7 @@
 // The physics suite (configs/experiments/physics.yaml) with its bounds, on the cloth plugin as it is loaded for folds.
 #include <gtest/gtest.h>
 
-#include "experiments/physics/physics.hpp"
+#include "experiments/physics/suite.hpp"
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
 #include "meshes/intersections.hpp"
@@ -11,7 +11,7 @@
 namespace weft {
 namespace {
 
-/// @param with parameters of the simulator, besides what the configuration has.
+/// @param with parameters of the simulator, in addition to those of the configuration.
 void check(const std::string& which, const ConfigNode& with) {
   const auto registry =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
@@ -72,7 +72,7 @@ const auto name_of = [](const testing::TestParamInfo<std::string>& which) {
   return name;
 };
 INSTANTIATE_TEST_SUITE_P(Suite, Physics, testing::ValuesIn(physics_test_names()), name_of);
-// What inertia is in, and what it must not touch.
+// The cases that inertia enters, and those that it must not change.
 INSTANTIATE_TEST_SUITE_P(Suite, ScaledPhysics,
                          testing::Values("incline", "cloth on cloth", "garment crease", "folds", "rest", "momentum",
                                          "energy"),

@@ -1,4 +1,4 @@
-// Calibration: sigma is brought to the errors of examples that the model has not seen.
+// Calibration: sigma is fitted to the errors of held-out examples.
 #include <nlohmann/json.hpp>
 
 #include "learning/held_out.hpp"
@@ -9,7 +9,7 @@ namespace weft::emd {
 namespace {
 
 /// Shapes of 900 coordinates, two thirds with a sigma of 5 mm and one third, which lies on the ground, with 0.4 mm.
-/// @param truth what the errors are to sigma. @param buckles share of the shapes where a twentieth of the ground stands
+/// @param truth ratio of the errors to sigma. @param buckles share of the shapes where a twentieth of the ground stands
 /// 8 mm off.
 struct DrawnErrors {
   DrawnErrors(double truth, double buckles) {
@@ -76,7 +76,7 @@ TEST(EmdCalibration, OneFoldThatEndedUpElsewhereDecidesNothing) {
 }
 
 #if WEFT_HAS_TORCH
-// Fitted to few examples sigma is too small for others; the factors from the validation split mend that on the test
+// Sigma fitted to few examples is too small for others. The factors from the validation split correct that on the test
 // split.
 TEST(EmdTraining, CalibrationBringsSigmaToTheErrorsOfUnseenExamples) {
   const Folder folder;
@@ -137,8 +137,8 @@ Params fitted(const Folder& folder, const Task& task, std::int64_t iterations = 
   return params;
 }
 
-// A model whose sigma is three times too small, and 40 mm too large within sessions, comes back on the examples of a
-// seed that it has never seen; nothing but the calibration is another.
+// A model has a sigma three times too small, and 40 mm too large within sessions. Calibration on held-out examples of
+// another seed restores it. Nothing but the calibration changes.
 TEST(EmdRecalibration, BringsAWrongSigmaToTheErrorsOfUnseenExamples) {
   const Folder folder;
   const Task task = patch_task();
@@ -206,7 +206,7 @@ TEST(EmdRecalibration, BringsAWrongSigmaToTheErrorsOfUnseenExamples) {
       EXPECT_LT(after.coverage, 0.83);  // the toy's errors have tails that no length takes
     }
   }
-  // The predictor holds what it wrote; and all but the calibration is what it was.
+  // The predictor holds the written model, and only its calibration has changed.
   const Model right = load_model(folder / "right.h5");
   EXPECT_NE(right.calibration, wrong.calibration);
   ASSERT_EQ(right.calibrated.size(), 1u);
@@ -220,7 +220,7 @@ TEST(EmdRecalibration, BringsAWrongSigmaToTheErrorsOfUnseenExamples) {
   back.calibrated.clear();
   save_model(folder / "back.h5", back, true);
   EXPECT_EQ(bytes_of(folder / "back.h5"), bytes_of(folder / "wrong.h5"));
-  // Found on the same examples, whatever it was before.
+  // The calibration depends on the examples only, not on the earlier calibration.
   params.model = folder / "fitted.h5";
   EmdPredictor(params, host).calibrate(fresh, examples, task, {.seed = 5, .model = folder / "again.h5"});
   EXPECT_EQ(bytes_of(folder / "again.h5"), bytes_of(folder / "right.h5"));
@@ -241,7 +241,7 @@ TEST(EmdRecalibration, WeightsOfFullPrecisionStayWhole) {
   EXPECT_EQ(after.basis, before.basis);
 }
 
-// A prediction within a session begins where there is a shape before: never with the first one.
+// A prediction within a session starts where there is an earlier shape, so never with the first one.
 TEST(EmdRecalibration, StartsWithinASessionAreNeverItsFirstShape) {
   const Folder folder;
   const Task task = patch_task();
@@ -300,7 +300,7 @@ TEST(EmdRecalibration, TheFirstDatasetDecidesAndOthersFillIn) {
     EXPECT_GT(wild_first[row].factor[0] * (1e-3 + wild_first[row].added_m[0]),
               2.0 * alone[row].factor[0] * (1e-3 + alone[row].added_m[0]));
   }
-  // Few have the most segments: there the wild ones are heard.
+  // Few sequences have the most segments: there the wild ones count.
   const auto& longest = with_wild[0];
   EXPECT_LT(longest.shapes.back(), 20);
   EXPECT_GT(longest.factor.back() * (1e-3 + longest.added_m.back()),
@@ -340,8 +340,8 @@ struct Predicted {
   }
 };
 
-// Sigma that is wrong in a way that no factor mends, too small along x and too large along z, comes back; every mean
-// and every other weight is the same bit for bit.
+// Sigma is wrong in a way that no factor corrects: too small along x and too large along z. The refit restores it.
+// Every mean and every other weight stays the same bit for bit.
 TEST(EmdSigmaLayer, IsFittedAnewAndNoMeanMoves) {
   const Folder folder;
   const Task task = patch_task();
@@ -387,7 +387,7 @@ TEST(EmdSigmaLayer, IsFittedAnewAndNoMeanMoves) {
   EXPECT_EQ(bytes_of(folder / "again.h5"), bytes_of(folder / "right.h5"));
 }
 
-// Heights that are now and then far off: the more the fourth moment counts, the wider is their sigma, and theirs alone.
+// Some heights are far off now and then. The more the fourth moment counts, the wider is their sigma, and only theirs.
 TEST(EmdSigmaLayer, TailsMakeSigmaWiderWhereTheyAre) {
   const Folder folder;
   const Task task = patch_task();
@@ -416,7 +416,7 @@ TEST(EmdSigmaLayer, TailsMakeSigmaWiderWhereTheyAre) {
   EXPECT_GT(z, x + 0.1);
 }
 
-// What makes held-out examples no likelier is left alone, and so is a layer with next to nothing to fit it to.
+// A refit that makes held-out examples no likelier is dropped, and so is one with hardly any examples.
 TEST(EmdSigmaLayer, StaysWhenItsFitIsNoBetter) {
   const Folder folder;
   const Task task = patch_task();

@@ -1,4 +1,4 @@
-// The model: its files, what they are refused for, and the task that it fits.
+// The model: its files, the reasons to refuse them, and the task that it fits.
 #include <string_view>
 
 #include "plugins/emd_fixture.hpp"
@@ -122,8 +122,8 @@ std::string with_changed_bit(std::string file, const T& value) {
   return file;
 }
 
-// Whatever a plan, an estimate or a comparison of data relies on: the finite, plausible values of another model would
-// do harm in silence.
+// These entries decide plans, estimates and comparisons of data. Finite, plausible values of another model would do
+// harm silently.
 TEST(EmdModel, AChangeOfAnyValueIsRefused) {
   const Folder folder;
   Model model = untrained_model(small(), patch_task(), 1);
@@ -186,7 +186,7 @@ TEST(EmdModel, FilesOfEarlierSchemasAreRead) {
     return message_of<ConfigError>([&] { load_model(folder / "bad.h5"); });
   };
   EXPECT_THAT(refusal(with_changed_bit(bytes_of(old), model.mean)), HasSubstr("recorded checksum"));
-  // Called the new one, it lacks the new checksum.
+  // An old file under the new schema's name lacks the new checksum.
   std::string renamed = bytes_of(old);
   renamed.replace(renamed.find("emd model 1"), 11, "emd model 4");
   EXPECT_THAT(refusal(renamed), HasSubstr("recorded checksum"));
@@ -198,7 +198,7 @@ TEST(EmdModel, FilesOfEarlierSchemasAreRead) {
   renamed.replace(renamed.find("emd model 4"), 11, "emd model 2");
   std::ofstream(folder / "second.h5", std::ios::binary) << renamed;
   EXPECT_TRUE(load_model(folder / "second.h5").calibration_added.empty());
-  // The third had them, but did not say what was calibrated on later.
+  // The third schema had them, but did not record the data of a later calibration.
   save_model(folder / "third.h5", model, false);
   renamed = bytes_of(folder / "third.h5");
   renamed.replace(renamed.find("emd model 4"), 11, "emd model 3");

@@ -138,7 +138,7 @@ TEST(EmdNetwork, AgreesWithAutogradForEverySwitch) {
 
 #endif  // WEFT_HAS_TORCH
 
-/// Cases of different lengths, starts and wishes.
+/// Cases of different lengths, starts and requests.
 std::vector<PredictionCase> some_cases(const Task& task, std::size_t count, std::uint64_t seed) {
   std::vector<PredictionCase> cases;
   const auto variables = task.trajectory->controls();

@@ -1,4 +1,4 @@
-// Training: what it draws, that it learns, resumes and stops, and its optimisers.
+// Training: its draws, learning, resuming, stopping, and its optimisers.
 #include <array>
 #include <nlohmann/json.hpp>
 
@@ -117,7 +117,7 @@ TEST(EmdTraining, LearnsTheSameBitsOnAnyNumberOfThreads) {
   fit("b.h5", more);
   EXPECT_EQ(bytes_of(folder / "a.h5"), bytes_of(folder / "b.h5"));
 
-  // What it learned is worth something: better than the shape it starts from.
+  // It has learned something: its prediction is better than the shape it starts from.
   params.model = folder / "a.h5";
   EmdPredictor predictor(params, host);
   predictor.bind(task);
@@ -231,8 +231,8 @@ TEST(EmdTraining, SignSgdMovesByTheMajorityOfSigns) {
   EXPECT_LT(share(outvoted), 0.5);
 }
 
-// Over-fitted to three examples, the loss on others soon rises: the rate is halved, the fit ends early, and what is
-// kept is the best model and not the last one.
+// Over-fitted to three examples, the loss on others soon rises. Then the rate is halved and the fit ends early. The
+// best model is kept, not the last one.
 TEST(EmdTraining, SignSgdHalvesItsRateStopsEarlyAndKeepsTheBest) {
   const Folder folder;
   const Task task = patch_task();
@@ -257,7 +257,7 @@ TEST(EmdTraining, SignSgdHalvesItsRateStopsEarlyAndKeepsTheBest) {
   EXPECT_EQ(json.at("stopped_by"), "early_stop");
   ASSERT_LT(report.iterations, 2000);
 
-  // What its curve says should have happened.
+  // The best model, the halvings and the end that follow from its curve.
   double best = std::numeric_limits<double>::infinity(), rate = t.rate;
   std::int64_t best_iteration = 0, without = 0, halvings = 0;
   for (const auto& point : json.at("curve")) {
@@ -280,7 +280,7 @@ TEST(EmdTraining, SignSgdHalvesItsRateStopsEarlyAndKeepsTheBest) {
   EXPECT_EQ(report.best_loss, best);
   EXPECT_EQ(report.iterations, best_iteration + t.stop_after * t.evaluate_every);
 
-  // SignSGD knows nothing of the planned length: a fit that ends there gives the file that was kept.
+  // SignSGD does not know the planned length: a fit that ends there gives the same file.
   t.iterations = best_iteration;
   fit("until_best.h5");
   EXPECT_EQ(bytes_of(folder / "early.h5"), bytes_of(folder / "until_best.h5"));

@@ -9,7 +9,7 @@
 #include "loader/registry.hpp"
 #include "weft/optimiser.hpp"
 
-/// What the tests of the optimisers share: objectives whose minima are known, and a host that loads the plugins.
+/// Shared by the tests of the optimisers: objectives with known minima, and a host that loads the plugins.
 namespace weft::test {
 
 inline constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
@@ -115,7 +115,7 @@ class PluginBench {
   std::unique_ptr<Host> host_ = make_host(registry_, {});
 };
 
-/// What fails of the conformance laws of the optimisers, one line each.
+/// The failed conformance laws of the optimisers, one line each.
 inline std::string failed_laws(Host& host, const std::string& slot, const std::string& tolerances = "{}") {
   std::string failed;
   for (const auto& law : check_conformance(host, "optimiser", ConfigNode::parse(slot, "test"),

@@ -315,7 +315,7 @@ TEST(Rollout, DifferencesAreTakenBeforeTheClothHasSettled) {
   const Positions &early = slope.back().mean, &late = whole_slope.back().mean;
   EXPECT_LT((early.col(0) - late.col(0)).norm(), 1e-6 * late.col(0).norm());
   EXPECT_GT(late.col(2).norm(), 1e-6);
-  // Nothing but the heights settles in the toy: those of the derivative are 12 frames old, of shapes and of values
+  // In the toy only the heights settle. In derivatives they are 12 frames old, those of shapes and those of values
   // alike.
   EXPECT_LT((std::pow(0.9, 28) * early.col(2) - late.col(2)).norm(), 1e-6 * late.col(2).norm());
   for (std::size_t s = 0; s + 1 < slope.size(); ++s)

@@ -12,7 +12,7 @@ namespace {
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-/// cost(x, gradient) per point; keeps every batch it was asked for.
+/// cost(x, gradient) per point. Keeps every batch of points.
 class Function final : public Objective {
  public:
   using Call = std::function<double(const Vector& x, Vector& gradient, Index instance)>;

@@ -9,7 +9,7 @@
 namespace weft::spline {
 namespace {
 
-/// Makes an arc whatever is asked for: no loader needed.
+/// Makes an arc for every request, so that no loader is needed.
 class ArcHost final : public Host {
  public:
   int threads() const override { return 1; }

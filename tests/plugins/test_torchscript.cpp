@@ -41,7 +41,7 @@ def forward(self, shape, states, controls, knowledge):
     return mean, wide * (1.0 + torch.square(mean))
 )";
 
-/// Two layers over what the controls add up to: products of matrices whose size follows the batch.
+/// Two layers over the sum of the controls: products of matrices whose size follows the batch.
 const std::string kNetwork = R"(
 def forward(self, shape, states, controls, knowledge):
     b, k, v = shape.size(0), controls.size(1), shape.size(1)
@@ -64,7 +64,7 @@ def forward(self, shape, states, controls, knowledge):
 double mean_of(Index variable, bool state) { return 0.1 + (state ? 0.3 : 0.02) * static_cast<double>(variable); }
 double sd_of(Index variable, bool state) { return (state ? 3.0 : 0.2) / (1.0 + static_cast<double>(variable)); }
 
-/// Goes on as it came, at half the speed, blown up by the controls.
+/// Continues its last motion at half the speed, enlarged by the controls.
 const std::string kPrevious = R"(
 def forward(self, shape, states, controls, knowledge, previous):
     pace = torch.cumsum(torch.tanh(0.1 * controls[:, :, 0:1]), 1).unsqueeze(2)
@@ -256,7 +256,7 @@ TEST_F(TorchScript, PassesThePreviousShape) {
       EXPECT_LT((prediction->shapes()[0][s].sigma.col(a).array() - sigma).cwiseAbs().maxCoeff(), 1e-7);
     }
   }
-  // Of the means: d mean / d shape = 1 + 0.5 pace cos(shape - previous), and where there is no previous shape,
+  // Gradients of the means: d mean / d shape = 1 + 0.5 pace cos(shape - previous). Without a previous shape,
   // shape - shape adds nothing.
   const Positions w = x.array().cos().matrix();
   const std::vector<ShapeCotangent> none(2);
@@ -352,7 +352,7 @@ TEST_F(TorchScript, ASessionKeepsToWhatTheModuleTakes) {
   EXPECT_NE(result.estimates[1].knowledge.centre, result.estimates[2].knowledge.centre);
   for (const std::size_t late : {3u, 4u})
     EXPECT_EQ(result.estimates[late].knowledge.centre, result.estimates[2].knowledge.centre);
-  EXPECT_THAT(result.warnings, ::testing::Contains(HasSubstr("the predictor takes 3 segments")));
+  EXPECT_THAT(result.warnings, ::testing::Contains(HasSubstr("the predictor takes at most 3 segments")));
 }
 
 TEST_F(TorchScript, ExamplesThatAreLongerThanTheModuleTakesArePredictedToItsEnd) {
@@ -446,7 +446,7 @@ TEST_F(TorchScript, RefusesOtherTasksAndDamage) {
   EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("takes 4 arguments, must take 5"));
   write_metadata();
   std::ofstream(folder_ / "m.pt", std::ios::binary) << "PK\x03\x04 no module";
-  EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("is no TorchScript file"));
+  EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("is not a TorchScript file"));
   TorchScriptPredictor none(Params{}, *host_);
   EXPECT_THAT(message_of<ConfigError>([&] { none.bind(task_); }), HasSubstr("params.module"));
   EXPECT_THROW(none.predict({}, {}), Error);

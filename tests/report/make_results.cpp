@@ -13,8 +13,10 @@
 #include <numbers>
 #include <numeric>
 
+#include "experiments/statistics.hpp"
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
+#include "report/cases_file.hpp"
 #include "report/page.hpp"
 #include "session/session.hpp"
 #include "session/session_file.hpp"
@@ -30,27 +32,9 @@ using json = nlohmann::ordered_json;
 
 constexpr Index kSettleFrames = 60;
 
-double mean_of(const std::vector<double>& values) {
-  return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
-}
-
-double deviation_of(const std::vector<double>& values) {
-  double sum = 0.0;
-  for (const double value : values) sum += (value - mean_of(values)) * (value - mean_of(values));
-  return std::sqrt(sum / static_cast<double>(values.size() - 1));
-}
-
-double quantile(std::vector<double> values, double q) {
-  std::sort(values.begin(), values.end());
-  const double at = q * static_cast<double>(values.size() - 1);
-  const auto low = static_cast<std::size_t>(at);
-  const double next = values[std::min(low + 1, values.size() - 1)];
-  return values[low] + (at - static_cast<double>(low)) * (next - values[low]);
-}
-
 void write_json(const fs::path& file, const json& value) { std::ofstream(file) << value.dump(1) << '\n'; }
 
-/// The shape that a control state stands for: what lies left of the fold line turned about it, a little bent and waved.
+/// The shape at a control state: the part left of the fold line is turned about it, a little bent and waved.
 Positions folded(const Task& task, const Vector& state, double wave) {
   constexpr double kDegree = std::numbers::pi / 180.0;
   const double angle = std::clamp(state(0), 0.0, 180.0) * kDegree, turn = state(2) * kDegree;
@@ -209,8 +193,9 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
               result.error_mm);
 }
 
-json spread_of(const std::vector<double>& values) {
-  return {{"mean", mean_of(values)}, {"sd", deviation_of(values)}, {"median", quantile(values, 0.5)}};
+json spread_json(const std::vector<double>& values) {
+  const Spread s = spread_of(values);
+  return {{"mean", s.mean}, {"sd", s.sd}, {"median", s.median}};
 }
 
 void make_evaluation(const fs::path& folder, const Task& task) {
@@ -245,14 +230,14 @@ void make_evaluation(const fs::path& folder, const Task& task) {
       planning["cases"].push_back(one);
       if (!failed) errors.push_back(error);
     }
-    const double q1 = quantile(errors, 0.25), q3 = quantile(errors, 0.75);
+    const double q1 = quantile_of(errors, 0.25), q3 = quantile_of(errors, 0.75);
     const auto outliers = std::count_if(errors.begin(), errors.end(),
                                         [&](double e) { return e < q1 - 1.5 * (q3 - q1) || e > q3 + 1.5 * (q3 - q1); });
     planning["by_width"].push_back({{"width", width},
                                     {"n", errors.size()},
                                     {"mean_mm", mean_of(errors)},
-                                    {"median_mm", quantile(errors, 0.5)},
-                                    {"sd_mm", deviation_of(errors)},
+                                    {"median_mm", quantile_of(errors, 0.5)},
+                                    {"sd_mm", spread_of(errors).sd},
                                     {"q1_mm", q1},
                                     {"q3_mm", q3},
                                     {"outliers", outliers}});
@@ -295,8 +280,8 @@ void make_evaluation(const fs::path& folder, const Task& task) {
       for (std::size_t i = 0; i < errors[p].size(); ++i) inside += errors[p][i] <= share * widths[p][i] / 2;
       coverage[name] = inside / static_cast<double>(errors[p].size());
     }
-    estimation["properties"][kPropertyNames[p]] = {{"abs_error", spread_of(errors[p])},
-                                                   {"width", spread_of(widths[p])},
+    estimation["properties"][kPropertyNames[p]] = {{"abs_error", spread_json(errors[p])},
+                                                   {"width", spread_json(widths[p])},
                                                    {"failure_rate", 0.02 * static_cast<double>(p)},
                                                    {"coverage", coverage},
                                                    {"interval_score", 0.3}};
@@ -324,7 +309,7 @@ void make_evaluation(const fs::path& folder, const Task& task) {
   prediction["settled"] = {{"from_start", figures(6.1)}, {"from_random", figures(4.4)}, {"no_knowledge", figures(8.2)}};
   prediction["baselines"] = {{"no_change", {{"n", 40}, {"mean_mm", 210.0}, {"median_mm", 200.0}}},
                              {"linear", {{"n", 40}, {"mean_mm", 31.0}, {"median_mm", 27.0}}}};
-  // The goals stand in for what happened, the ends of the planned folds for what was predicted.
+  // The goals serve as recorded shapes, the ends of the planned folds as predicted shapes.
   for (int i = 0; i < 40; ++i)
     prediction["cases"].push_back(
         {{"example", 100 + i},

@@ -1,5 +1,5 @@
-// A child process as the environment: a whole session with the example in Python, and everything that a process can do
-// wrong.
+// A child process as the environment: a whole session with the example in Python, and the mistakes that a process can
+// make.
 #include <sys/wait.h>
 
 #include <cerrno>
@@ -110,7 +110,7 @@ TEST_F(ProcessSession, RefusesConfigsThatAProcessCannotServe) {
   const std::pair<std::vector<std::string>, std::string> cases[] = {
       {{"environment.command=[/none/robot]", "knowledge=none"},
        "--set: environment.command = [/none/robot]: cannot be run: No such file or directory"},
-      {{"environment.command=[cat]", "environment.folder=/none", "knowledge=none"}, "/none, does not exist"},
+      {{"environment.command=[cat]", "environment.folder=/none", "knowledge=none"}, "/none does not exist"},
       {{"environment.command=[cat]"}, "knowledge = true, which needs true_material"},
       {{"environment.command=[cat]", "knowledge=drawn"}, "--set: knowledge = drawn, which needs true_material"},
       {{"environment.command=[cat]", "knowledge=none", "observation.hidden_share=0.5"},
@@ -120,14 +120,14 @@ TEST_F(ProcessSession, RefusesConfigsThatAProcessCannotServe) {
     EXPECT_THAT(test::message_of<ConfigError>([&] { run(overrides); }), HasSubstr(expected)) << overrides.front();
 }
 
-/// A process that greets as it should and has its own way with everything else.
+/// A process that greets as it should and answers everything else in its own way.
 class Process : public Session {
  protected:
   Process() {
     folder_.write("task.yaml", task_text());
     task_ = task();
   }
-  /// @param cases lines of Python that follow the greeting. @param before what it does before the greeting.
+  /// @param cases lines of Python that follow the greeting. @param before lines of Python before the greeting.
   std::unique_ptr<ProcessEnvironment> start(const std::string& cases, double timeout_s = 20.0,
                                             const std::string& version = "1", const std::string& before = "pass") {
     const std::string text =
@@ -184,7 +184,7 @@ TEST_F(Process, SaysWhatIsSeenAndHowWell) {
   const SettleResult settle = child->release();
   EXPECT_FALSE(settle.settled);
   EXPECT_EQ(settle.frames, 120);
-  // Mean over what is seen.
+  // Mean over the observed vertices.
   Positions shape = Positions::Zero(seen.positions.rows(), 3);
   shape.col(2).setOnes();
   const double far = (seen.positions.row(1) - shape.row(1)).norm();
@@ -203,7 +203,7 @@ TEST_F(Process, EveryFailureHasItsOwnMessage) {
       {"answer('observation')", "sent an observation without positions_m"},
       {"answer('observation', positions_m=[[0, 0, 0]] * 2)", "observed 2 vertices, must be " + n},
       {"answer('observation', positions_m=[[0, 0]] * n)", "observed vertex 0 at '[0,0]', must be [x, y, z] in m"},
-      {"answer('observation', positions_m=[None] * n)", "sees no vertex at all"},
+      {"answer('observation', positions_m=[None] * n)", "observed no vertex"},
       {"answer('observation', positions_m=[[0, 0, float('nan')]] * n)", "with a number that is not finite"},
       {"print('{\"type\": \"observation\", \"positions_m\": [[1e999, 0, 0]]}', flush=True)",
        "with a number that is not finite"},

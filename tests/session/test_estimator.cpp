@@ -29,7 +29,7 @@ class QuietHost final : public Host {
   std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override { return nullptr; }
 };
 
-/// What an exact predictor of a linear world says: after segment j coordinate k of the shape is
+/// The prediction of an exact predictor in a linear world: after segment j coordinate k of the shape is
 ///     x = s_0 + a_jk' q + noise,   a_jk' q ~ mean a' c and variance sum_p a_p^2 w_p^2 / 12 for q uniform in (c, w).
 struct LinearWorld {
   PropertyVector strength = PropertyVector::Constant(0.02);  ///< m: size of a_p
@@ -121,7 +121,7 @@ struct Bench {
     params.start_height_sigma_m = 0.0;
     params.instances = 4;
   }
-  /// What a material shows after every segment, with the world's noise.
+  /// The observations of a material after every segment, with the world's noise.
   EstimateRequest observe(const MaterialProperties& q, std::uint64_t seed) const {
     EstimateRequest request;
     request.start = std::make_shared<const Positions>(task.garment->positions);
@@ -245,8 +245,8 @@ TEST(Estimator, IntervalsHoldTheTruthAsOftenAsTheySay) {
 }
 
 TEST(Estimator, ThePlainLossCollapsesTheWidthWhateverTheDataSay) {
-  // The flaw that section 5 names, with a predictor that is exact: half of the widths are zero, and such an interval
-  // holds the truth never. The posterior of the same data is as wide as its errors.
+  // The flaw that section 5 names, with an exact predictor: half of the widths are zero, and such an interval never
+  // holds the truth. The posterior of the same data is as wide as its errors.
   Bench bench;
   bench.world.strength.setConstant(0.01);
   int collapsed = 0, held = 0, held_by_posterior = 0;
@@ -377,7 +377,7 @@ TEST(Estimator, MeasurementNoiseWidensAndIsAccountedFor) {
   EXPECT_NEAR(held, 0.8 * 4 * kCases, 0.1 * 4 * kCases);
 }
 
-/// A cloth of thickness q = 0.7 that lies flat, in a world whose shapes show nothing of it.
+/// A cloth of thickness q = 0.7 that lies flat, in a world whose shapes do not depend on thickness.
 struct FlatBench : Bench {
   EstimateRequest request;
   double thickness = task.material.ranges[3].at(0.7);
@@ -417,7 +417,7 @@ TEST(Estimator, ShapesThatNoMaterialExplainsWidenByBirgesRatio) {
   Bench bench;
   auto request = bench.observe(draw(6), 6);
   for (auto& seen : request.observations) {
-    // An error of 3 sigma with alternating sign: hardly any material looks like that.
+    // An error of 3 sigma with alternating sign: hardly any material explains it.
     Observation off = *seen;
     for (Index k = 0; k < off.positions.size(); ++k)
       off.positions.data()[k] += (k % 2 ? 3.0 : -3.0) * bench.world.sigma;

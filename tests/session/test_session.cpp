@@ -72,7 +72,7 @@ TEST_F(Session, GoalsByControlsByObjAndByRecordedSession) {
     more.insert(more.end(), quick.begin(), quick.end());
     return run(more);
   };
-  // The goal that the default control makes is reached by the default control, exactly.
+  // The default control reaches exactly the goal that it made.
   const SessionResult by_controls = with({"goal.controls=[2, 0, 0, 0, 0]"});
   EXPECT_EQ(by_controls.default_error_mm, 0.0);
   EXPECT_EQ(by_controls.error_mm, 0.0);
@@ -114,7 +114,7 @@ TEST_F(Session, APlanUsesTheEstimateThatItsLagAllows) {
 }
 
 TEST_F(Session, LearnsWhatTheClothShows) {
-  // The predictor is the simulator of the fold itself, so what is left is the estimator's own error.
+  // The predictor is the simulator of the fold itself, so only the estimator's own error remains.
   const SessionResult result =
       run({"knowledge=estimate", "true_material=[0.15, 0.85, 0.2, 0.75]", "planning.iterations=1",
            "goal.controls=[2.3, 0, 0.1, 0, 0]", "planning.replan_iterations=0", "planning.instances=1",
@@ -136,7 +136,7 @@ TEST_F(Session, SeesNoisyAndPartialShapesAndIsJudgedByTheTruth) {
   EXPECT_EQ(one.final_shape, two.final_shape);
   EXPECT_NE(one.rounds.back().observed, one.final_shape);
   EXPECT_EQ(one.error_mm, mean_distance_mm(one.final_shape, one.goal));
-  // 56 % of the vertices are seen, to within the noise; the others are where the plan expected them.
+  // 56 % of the vertices are observed, to within the noise. The others are taken from the plan's prediction.
   std::vector<double> off;
   for (Index v = 0; v < one.final_shape.rows(); ++v)
     off.push_back((one.rounds.back().observed.row(v) - one.final_shape.row(v)).norm());
@@ -210,7 +210,7 @@ TEST_F(Session, RefinementBringsThePlanCloserInTheSimulator) {
 }
 
 TEST_F(Session, RefinementUsesTheEstimatedMaterial) {
-  // No step is taken: the refined plan is the plan before, judged by the simulator at the material that it is given.
+  // No step is taken. The refined plan is the plan before it, judged by the simulator at the given material.
   const SessionResult plain = run(kEstimate),
                       refined = run(with(kEstimate, {"refinement={first: 2, plans: 1, iterations: 0}"}));
   ASSERT_GE(refined.rounds.size(), 3u);
@@ -226,7 +226,7 @@ TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
   const auto message = [&](const std::vector<std::string>& overrides) {
     return test::message_of<ConfigError>([&] { run(overrides); });
   };
-  // A simulator that cannot start: what is refused is refused before it is asked to.
+  // A simulator that cannot start: bad goals and materials are refused before it is asked to.
   const std::string broken = "simulator={plugin: cloth, params: {min_substeps: 1, max_substeps: 1}}";
   EXPECT_THAT(message({broken}), testing::HasSubstr("max_substeps"));
   const auto points = folder_.write("point.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").string();
@@ -248,7 +248,7 @@ TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
       {{"goal.controls=[99, 0, 0, 0, 0]"}, "--set: goal.controls.0 = 99, must be in [0.5, 4] deg/frame (dtheta)"},
       {{"goal.controls=[[2, 0, 0, 0, 0], [2, 0, -9, 0, 0]]"}, "--set: goal.controls.1.2 = -9, must be in ["},
       {{"goal.controls=[2, 0, 0, 0, 0]", "goal.obj=x.obj"},
-       "--set: goal.controls is given beside goal.obj; at most one"},
+       "--set: goal.controls is given together with goal.obj; give at most one"},
       {{"goal.obj=/none.obj"}, "--set: goal.obj = /none.obj: /none.obj: no such file"},
       {{"goal.obj=" + points}, ": has 3 vertices, must have the garment's "},
       {{"goal.example=/none.h5"}, "--set: goal.example = /none.h5: /none.h5: does not exist"},

@@ -10,7 +10,7 @@
 namespace weft {
 namespace {
 
-/// Rosenbrock per column, with what a predictor would do to a batch left out. Keeps what it was asked for.
+/// Rosenbrock per column, without the work of a predictor on a batch. Keeps the requested points.
 class Valley final : public Objective {
  public:
   Index dim() const override { return 2; }

@@ -15,7 +15,7 @@
 namespace weft {
 namespace {
 
-/// Two vertices that follow the hands up by the sine of what the controls add up to.
+/// Two vertices that follow the hands up by the sine of the sum of the controls.
 class LiftPrediction final : public Prediction {
  public:
   LiftPrediction(Host& host, const std::vector<PredictionCase>& cases, double broken_above, bool rows_matter)
@@ -141,7 +141,7 @@ TEST_F(Lift, WhereBitsDependOnTheRowInstancesKeepTheirs) {
   EXPECT_EQ(together.losses, alone.losses);
   EXPECT_EQ(together.controls, alone.controls);
   EXPECT_EQ(together.evaluations, alone.evaluations);  // padding is no evaluation
-  // It was worth it: other rows, other bits.
+  // The test means something: other rows give other bits.
   EXPECT_NE(together.losses, sound.losses);
   EXPECT_NE(together.losses, plan_one_by_one(false).losses);
 }

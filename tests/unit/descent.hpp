@@ -39,7 +39,7 @@ class Descent final : public Optimiser {
   }
 };
 
-/// Another optimiser, one instance after the other: what all at once is compared with.
+/// Another optimiser, one instance after the other: the reference for all instances at once.
 class OneByOne final : public Optimiser {
  public:
   /// @param numbered each instance asks under its own number; otherwise all ask as instance 0.

@@ -1,19 +1,15 @@
-#include <signal.h>
-#include <sys/wait.h>
-#include <unistd.h>
+#include "experiments/ablation.hpp"
 
-#include <atomic>
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
-#include <thread>
 
-#include "experiments/sweep.hpp"
 #include "test_support.hpp"
 
 namespace weft::test {
 namespace {
 
-// What a session config must hold to be read; no cell of these tests runs a session.
+// The least that a session config must hold to be read; no cell of these tests runs a session.
 constexpr const char* kTask = R"(
 garment: towel.yaml
 material: basic.yaml
@@ -31,14 +27,6 @@ struct Files {
   std::string refusal(const std::string& rest) const {
     return message_of<ConfigError>([&] { plan(rest); });
   }
-  AblationOptions options(const std::string& name, AblationRunner runner, int jobs = 1) const {
-    AblationOptions o;
-    o.folder = folder / name;
-    o.jobs = jobs;
-    o.registry = std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{folder.path()});
-    o.runner = std::move(runner);
-    return o;
-  }
 };
 
 constexpr const char* kTwoFactors = R"(
@@ -51,18 +39,6 @@ factors:
 baseline: {optimiser: rprop}
 seeds: {first: 5, count: 3}
 )";
-
-/// Arms differ by known amounts; a cell's number is a function of its config and seed only.
-AblationOutcome formula(const ConfigNode& session, Host&) {
-  const auto seed = static_cast<double>(session.at("seed").as_int());
-  const double instances = session.at("planning").at("instances").as_double();
-  const bool sampling = session.find("optimiser") && session.at("optimiser").at("plugin").as_string() == "mppi";
-  AblationOutcome outcome;
-  outcome.metrics = {{"error_mm", 10.0 * seed + (sampling ? 2.0 : 0.0) + 1.0 / instances},
-                     {"seconds", 0.5 * instances}};
-  outcome.paired_by = "case" + std::to_string(static_cast<int>(seed));
-  return outcome;
-}
 
 TEST(AblationPlan, ArmsAreTheProductOfTheLevels) {
   const auto plan = Files().plan(kTwoFactors);
@@ -84,12 +60,12 @@ TEST(AblationPlan, ArmsAreTheProductOfTheLevels) {
 TEST(AblationPlan, EachArmIsComparedWithItsLikeAtTheBaselinesLevels) {
   const auto plan = Files().plan(kTwoFactors);
   const std::vector<std::size_t> wanted = {0, 1, 2, 0, 1, 2};
-  for (std::size_t a = 0; a < 6; ++a) EXPECT_EQ(plan.arms[a].baseline, wanted[a]);
+  for (std::size_t a = 0; a < 6; ++a) EXPECT_EQ(plan.baseline[a], wanted[a]);
   const auto one = Files().plan("factors: {planning.instances: [1, 4]}\nbaseline: 4\nseeds: [3, 1]\n");
-  EXPECT_EQ(one.arms[0].baseline, 1u);
+  EXPECT_EQ(one.baseline[0], 1u);
   EXPECT_EQ(one.seeds, (std::vector<std::uint64_t>{3, 1}));
   const auto silent = Files().plan("factors: {planning.instances: [1, 4]}\nseeds: [3]\n");
-  EXPECT_EQ(silent.arms[1].baseline, 0u);
+  EXPECT_EQ(silent.baseline[1], 0u);
 }
 
 TEST(AblationPlan, NestedKeysChangeOnlyWhatTheyNameAndPluginsAreReplacedWhole) {
@@ -150,7 +126,7 @@ TEST(AblationPlan, PhysicsCasesTakeThePlaceOfSeeds) {
   EXPECT_TRUE(two.cases[1].starts_with("rest, "));
   EXPECT_EQ(plan("set: {physics: {tests: [folds], folds: {count: 40}}}\n" + simulators).cases.back(),
             "folds, seeds 31 to 40");
-  AblationRow row{1, 1, "", {{{"rest: motion m", 1e-7}}, "rest"}};
+  SweepRow row{1, 1, "", {{{"rest: motion m", 1e-7}}, "rest"}};
   EXPECT_EQ(ablation_csv(two, {row}),
             "simulator,seed,case,status,rest: motion m,failure\nb,1,\"" + two.cases[1] + "\",done,1e-07,\n");
 
@@ -163,68 +139,42 @@ TEST(AblationPlan, PhysicsCasesTakeThePlaceOfSeeds) {
   EXPECT_THROW(plan(simulators, &first), ConfigError);
 }
 
-TEST(Ablation, RowsComeInOrderWhateverTheNumberOfJobs) {
-  const Files s;
-  const auto plan = s.plan(kTwoFactors);
-  const auto one = run_ablation(plan, s.options("one", formula, 1));
-  const auto four = run_ablation(plan, s.options("four", formula, 4));
-  ASSERT_EQ(one.size(), 18u);
-  EXPECT_EQ(ablation_csv(plan, one), ablation_csv(plan, four));
-  EXPECT_EQ(ablation_json(plan, one), ablation_json(plan, four));
-  for (std::size_t i = 0; i < 18; ++i) {
-    EXPECT_EQ(one[i].seed, 5 + i / 6);
-    EXPECT_EQ(one[i].arm, i % 6);
+/// Rows of all cells: seeds differ by 10 mm, arms by 2 mm.
+std::vector<SweepRow> rows_of(const AblationPlan& plan) {
+  std::vector<SweepRow> rows;
+  for (const auto seed : plan.seeds) {
+    for (std::size_t a = 0; a < plan.arms.size(); ++a) {
+      const double instances = plan.arms[a].config.at("planning").at("instances").as_double();
+      const bool sampling = plan.arms[a].levels.front() == "sampling";
+      SweepRow row{a, seed, "", {}};
+      row.outcome.metrics = {{"error_mm", 10.0 * static_cast<double>(seed) + (sampling ? 2.0 : 0.0) + 1.0 / instances},
+                             {"seconds", 0.5 * instances}};
+      row.outcome.paired_by = "case" + std::to_string(seed);
+      rows.push_back(row);
+    }
   }
+  return rows;
+}
+SweepRow& row_of(std::vector<SweepRow>& rows, std::size_t arm, std::uint64_t seed) {
+  return *std::find_if(rows.begin(), rows.end(), [&](const auto& r) { return r.arm == arm && r.seed == seed; });
 }
 
-TEST(Ablation, SessionsGetTheirSeedAndOneThread) {
-  const Files s;
-  const auto plan = s.plan("factors: {planning.instances: [1]}\nseeds: [9]\n");
-  run_ablation(plan, s.options("out", [](const ConfigNode& session, Host& host) {
-    EXPECT_EQ(host.seed(), 9u);
-    EXPECT_EQ(host.threads(), 1);
-    return formula(session, host);
-  }));
-  const auto wide = s.plan("set: {threads: 3}\nfactors: {planning.instances: [1]}\nseeds: [9]\n");
-  run_ablation(wide, s.options("wide", [](const ConfigNode& session, Host& host) {
-    EXPECT_EQ(host.threads(), 3);
-    return formula(session, host);
-  }));
-}
-
-TEST(Ablation, FailedCellsAreRecordedAndCostOnlyThemselves) {
-  const Files s;
-  const auto plan = s.plan(kTwoFactors);
-  const AblationRunner runner = [](const ConfigNode& session, Host& host) -> AblationOutcome {
-    const auto instances = session.at("planning").at("instances").as_int();
-    if (instances == 4 && session.at("seed").as_int() == 6) throw Diverged("frame 12, vertex 3");
-    if (instances == 16 && session.at("seed").as_int() == 7) throw 5;
-    return formula(session, host);
-  };
-  const auto rows = run_ablation(plan, s.options("out", runner));
-  ASSERT_EQ(rows.size(), 18u);
-  int failed = 0;
-  for (const auto& row : rows) failed += !row.failure.empty();
-  EXPECT_EQ(failed, 4);
+TEST(Ablation, FailedCellsAreCountedAndLeaveTheirPairsOut) {
+  const auto plan = Files().plan(kTwoFactors);
+  auto rows = rows_of(plan);
+  row_of(rows, 1, 6).failure = "frame 12, vertex 3";
+  row_of(rows, 1, 6).outcome = {};
   const auto json = nlohmann::json::parse(ablation_json(plan, rows));
   EXPECT_EQ(json["arms"][1]["done"], 2);
   EXPECT_EQ(json["arms"][1]["failed"][0]["failure"], "frame 12, vertex 3");
   EXPECT_EQ(json["arms"][4]["metrics"]["error_mm"]["difference"]["n"], 2);  // the pairs that both ran
   EXPECT_THAT(ablation_csv(plan, rows), testing::HasSubstr("rprop,4,6,failed,,,\"frame 12, vertex 3\"\n"));
-  // A failure is a result: it is not tried again.
-  std::atomic<int> calls{0};
-  run_ablation(plan, s.options("out", [&](const ConfigNode& session, Host& host) {
-    ++calls;
-    return formula(session, host);
-  }));
-  EXPECT_EQ(calls, 0);
 }
 
 TEST(Ablation, DifferencesArePaired) {
   // Seeds differ by 10 mm, arms by 2 mm: only a paired comparison sees the 2 mm exactly.
-  const Files s;
-  const auto plan = s.plan(kTwoFactors);
-  const auto json = nlohmann::json::parse(ablation_json(plan, run_ablation(plan, s.options("out", formula))));
+  const auto plan = Files().plan(kTwoFactors);
+  const auto json = nlohmann::json::parse(ablation_json(plan, rows_of(plan)));
   const auto& arm = json["arms"][4];
   EXPECT_EQ(arm["baseline"], "rprop, 4");
   EXPECT_NEAR(arm["metrics"]["error_mm"]["mean"], 62.25, 1e-12);
@@ -240,143 +190,16 @@ TEST(Ablation, DifferencesArePaired) {
 }
 
 TEST(Ablation, CasesThatAreNotTheSameAreNotCompared) {
-  const Files s;
-  const auto plan = s.plan(kTwoFactors);
-  const auto rows = run_ablation(plan, s.options("out", [](const ConfigNode& session, Host& host) {
-    AblationOutcome o = formula(session, host);
-    if (session.at("planning").at("instances").as_int() == 16 &&
-        session.find("optimiser")->at("plugin").as_string() == "mppi")
-      o.paired_by = "another goal";
-    return o;
-  }));
+  const auto plan = Files().plan(kTwoFactors);
+  auto rows = rows_of(plan);
+  for (auto& row : rows) {
+    if (row.arm == 5) row.outcome.paired_by = "another goal";
+  }
   const auto json = nlohmann::json::parse(ablation_json(plan, rows));
   EXPECT_EQ(json["arms"][5]["unpaired"], 3);
   EXPECT_EQ(json["arms"][5]["metrics"]["error_mm"]["difference"]["n"], 0);
   EXPECT_TRUE(json["arms"][5]["metrics"]["error_mm"]["difference"]["mean"].is_null());
   EXPECT_THAT(ablation_table(plan, rows, "error_mm"), testing::HasSubstr("NOT ALL PAIRED"));
-}
-
-TEST(Ablation, KilledAtAnyMomentItIsFinishedByTheNextRun) {
-  const Files s;
-  const auto plan = s.plan(kTwoFactors);
-  const std::string whole = ablation_csv(plan, run_ablation(plan, s.options("whole", formula)));
-  for (const int after_ms : {5, 40, 75}) {
-    const std::string name = "killed" + std::to_string(after_ms);
-    const pid_t child = fork();
-    ASSERT_GE(child, 0);
-    if (child == 0) {
-      try {
-        run_ablation(plan, s.options(
-                               name,
-                               [](const ConfigNode& session, Host& host) {
-                                 std::this_thread::sleep_for(std::chrono::milliseconds(10));
-                                 return formula(session, host);
-                               },
-                               2));
-      } catch (...) {
-      }
-      _exit(0);
-    }
-    std::this_thread::sleep_for(std::chrono::milliseconds(after_ms));
-    kill(child, SIGKILL);
-    int status = 0;
-    waitpid(child, &status, 0);
-    std::atomic<int> calls{0};
-    const auto rows = run_ablation(plan, s.options(name, [&](const ConfigNode& session, Host& host) {
-      ++calls;
-      return formula(session, host);
-    }));
-    EXPECT_EQ(ablation_csv(plan, rows), whole) << calls;
-    EXPECT_GT(calls, 0);
-  }
-}
-
-TEST(Ablation, HalfWrittenRowsDoNotCount) {
-  const Files s;
-  const auto plan = s.plan("factors: {planning.instances: [1]}\nseeds: [1]\n");
-  run_ablation(plan, s.options("out", formula));
-  std::filesystem::path row;
-  for (const auto& entry : std::filesystem::directory_iterator(s.folder / "out" / "cells")) row = entry.path();
-  std::filesystem::rename(row, row.string() + ".tmp");
-  int calls = 0;
-  run_ablation(plan, s.options("out", [&](const ConfigNode& session, Host& host) {
-    ++calls;
-    return formula(session, host);
-  }));
-  EXPECT_EQ(calls, 1);
-  std::ofstream(row) << "{\"schema\": ";
-  EXPECT_THAT(message_of<ConfigError>([&] { run_ablation(plan, s.options("out", formula)); }),
-              testing::AllOf(testing::HasSubstr(row.filename().string()), testing::HasSubstr("damaged")));
-}
-
-TEST(Ablation, AFolderHoldsOneAblation) {
-  const Files s;
-  run_ablation(s.plan("factors: {planning.instances: [1, 2]}\nseeds: [1]\n"), s.options("out", formula));
-  const auto other = s.plan("set: {planning.noise: 0.25}\nfactors: {planning.instances: [1, 2]}\nseeds: [1]\n");
-  EXPECT_THAT(message_of<ConfigError>([&] { run_ablation(other, s.options("out", formula)); }),
-              testing::HasSubstr("another config"));
-  // More seeds of the same are welcome.
-  const auto more = s.plan("factors: {planning.instances: [1, 2]}\nseeds: [1, 2]\n");
-  EXPECT_EQ(run_ablation(more, s.options("out", formula)).size(), 4u);
-}
-
-TEST(Ablation, CancelledSessionsLeaveNoRow) {
-  const Files s;
-  const auto plan = s.plan(kTwoFactors);
-  std::atomic<bool> cancel{false};
-  int calls = 0;
-  auto options = s.options("out", [&](const ConfigNode& session, Host& host) {
-    if (++calls == 4) cancel = true;
-    return formula(session, host);
-  });
-  options.cancel = &cancel;
-  EXPECT_EQ(run_ablation(plan, options).size(), 3u);
-  cancel = false;
-  EXPECT_EQ(run_ablation(plan, options).size(), 18u);
-}
-
-TEST(Ablation, MetricsThatAreNoNumbersSurvive) {
-  const Files s;
-  const auto plan = s.plan("factors: {planning.instances: [1]}\nseeds: [1]\n");
-  const AblationRunner runner = [](const ConfigNode&, Host&) {
-    return AblationOutcome{{{"a", std::nan("")}, {"b", 0.1}}, "x"};
-  };
-  run_ablation(plan, s.options("out", runner));
-  const auto rows = run_ablation(plan, s.options("out", runner));  // read back
-  EXPECT_TRUE(std::isnan(rows[0].outcome.metrics[0].second));
-  EXPECT_EQ(rows[0].outcome.metrics[1].second, 0.1);
-  EXPECT_THAT(ablation_csv(plan, rows), testing::HasSubstr("1,1,done,,0.1,\n"));
-}
-
-TEST(AblationStatistics, OfFewValues) {
-  const auto none = ablation_statistics({}, 1000, 1);
-  EXPECT_EQ(none.n, 0u);
-  EXPECT_TRUE(std::isnan(none.mean));
-  const auto one = ablation_statistics({3.0}, 1000, 1);
-  EXPECT_EQ(one.mean, 3.0);
-  EXPECT_EQ(one.median, 3.0);
-  EXPECT_TRUE(std::isnan(one.mean_interval.first));
-  const auto four = ablation_statistics({4.0, 1.0, 2.0, 10.0}, 1000, 1);
-  EXPECT_EQ(four.median, 3.0);
-  EXPECT_EQ(four.mean, 4.25);
-  EXPECT_NEAR(four.sd, std::sqrt((0.0625 + 10.5625 + 5.0625 + 33.0625) / 3.0), 1e-12);
-}
-
-TEST(AblationStatistics, BootstrapIntervalsCoverTheMean) {
-  // 95 % intervals of the mean of 30 normal values hold 0 in about 94 % of the cases (the percentile bootstrap's slight
-  // lack).
-  RandomStream random(8);
-  int covered = 0;
-  constexpr int trials = 400;
-  for (int t = 0; t < trials; ++t) {
-    std::vector<double> values(30);
-    for (double& v : values) v = random.normal();
-    const auto s = ablation_statistics(values, 400, 1);
-    covered += s.mean_interval.first <= 0.0 && 0.0 <= s.mean_interval.second;
-    EXPECT_LE(s.mean_interval.first, s.mean);
-    EXPECT_GE(s.mean_interval.second, s.mean);
-  }
-  EXPECT_NEAR(static_cast<double>(covered) / trials, 0.94, 0.035);
 }
 
 }  // namespace

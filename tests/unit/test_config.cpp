@@ -80,7 +80,7 @@ TEST(Config, PlaceIsTheNodeOrWhereItWouldStand) {
   EXPECT_EQ(place(fold, "pins.0").where(), "--set");
   EXPECT_EQ(place(fold, "pins.0").path(), "pins.0");
   EXPECT_EQ(place(fold, "simulator.params.substeps").as_int(), 4);
-  // Absent: the innermost node on the way says where; of a whole file its first line would mislead.
+  // For an absent key the innermost node on its path gives the line. The first line of a whole file would mislead.
   const ConfigNode absent = place(fold, "simulator.params.solver.name.x");
   EXPECT_TRUE(absent.is_null());
   EXPECT_EQ(absent.path(), "simulator.params.solver.name.x");
@@ -110,7 +110,7 @@ TEST(Config, AFileOfAnotherKindIsRecognised) {
   EXPECT_THAT(message("manipulation: {}\ndata: {}\n", {"task"}), HasSubstr("the file is an experiment"));
   EXPECT_EQ(message("data: {}\nsed: 1\n", {"seed", "data"}), "fold.yaml:2: sed is not a known key; nearest: seed");
   EXPECT_THAT(message("name: a\ndensity_kg_per_m2: 1\n", {"nominal", "properties"}), HasSubstr("the file is a fabric"));
-  // The command line says nothing about the file.
+  // Overrides of the command line carry no file.
   EXPECT_EQ(refusal([&] {
               apply_override(parse("sets: {}"), "physics.step=1").refuse_unknown_keys({"sets", "physical"});
             }),

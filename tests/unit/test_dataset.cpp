@@ -1,4 +1,4 @@
-// Examples: made from (seed, index) alone, files whole or refused, the same bytes whatever the order and the threads.
+// Examples: made from (seed, index) alone, files whole or refused, the same bytes in any order and on any threads.
 #include <algorithm>
 #include <atomic>
 #include <cstring>
@@ -307,7 +307,7 @@ TEST(Dataset, SaysWhenASplitIsNotWhatAModelTookItFor) {
   EXPECT_EQ(both.origins()[1].seed, other.seed);
   EXPECT_EQ(warnings(both.origins()), "");
 
-  // Another seed: nothing in common, so that its train split is no training data.
+  // Another seed has no example in common, so its train split is no training data.
   EXPECT_THAT(held_out_warning(data, Split::train, {other}), HasSubstr("was not trained on dataset " + own.identity));
   EXPECT_EQ(held_out_warning(data, Split::test, {other}), "");
   // The same examples, otherwise split: those that were trained on are counted.
@@ -349,7 +349,7 @@ TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
   DatasetOrigin similar = own;
   similar.identity = "of another distribution";
   EXPECT_EQ(unseen_examples(data, {similar}), validation);
-  // ... and otherwise split: what was tested there is no good here, nor is what is tested here.
+  // ... and split otherwise: examples tested there must not be used here, nor those that are tested here.
   similar.test_fraction = 0.5 * own.test_fraction;
   similar.validation_fraction = 1.0 - similar.test_fraction;
   std::vector<std::size_t> wanted;
@@ -360,7 +360,7 @@ TEST(Dataset, UnseenAreTheExamplesThatNeitherAFitNorATestHasAClaimTo) {
   similar.validation_fraction = 0.0;
   EXPECT_TRUE(unseen_examples(data, {similar}).empty());
 
-  // Of several, each by what it is; one that failed is none.
+  // Each of several datasets is judged by its own record; a failed example never counts.
   Dataset both = data, second = data, third = data;
   second.header.identity = other.identity;
   second.header.seed = other.seed;
@@ -403,7 +403,7 @@ TEST(Dataset, SaysWhenSigmaWasCalibratedOnASplit) {
   EXPECT_TRUE(all_of(Split::validation, {own}));
   EXPECT_EQ(held_out_warning(data, Split::validation, {own}, {other}), "");
 
-  // Of several, each by what it is.
+  // Each of several datasets is judged by its own record.
   Dataset both = data, second = data;
   second.header.identity = other.identity;
   second.header.seed = other.seed;
@@ -446,7 +446,7 @@ TEST(Dataset, ADamagedFileIsRefusedWholeAndNeverCrashes) {
     std::ofstream(place, std::ios::binary) << bad;
     try {
       const Shard read = read_shard(place);
-      // Only bytes that carry nothing (padding, unused tables, texts that no number depends on) may change unnoticed.
+      // Only bytes without a meaning (padding, unused tables, texts that no number depends on) may change unnoticed.
       ASSERT_EQ(read.examples.size(), truth.examples.size());
       for (std::size_t i = 0; i < truth.examples.size(); ++i) {
         EXPECT_EQ(read.examples[i].shapes, truth.examples[i].shapes);

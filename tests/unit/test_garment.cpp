@@ -90,19 +90,19 @@ const std::vector<BadFile>& bad_files() {
        ":9: face 2 has no vt, unlike the faces"},
       {"vt_out_of_range", kSquare + "vt 0 0\nvt 1 0\nf 1/1 2/2 3/3\n",
        ":7: face 1 names vt 3, but the file has only 2"},
-      {"vt_unused", kSquare + "vt 0 0\n" + kFaces, "1 vt, but no face refers to them"},
+      {"vt_unused", kSquare + "vt 0 0\n" + kFaces, "1 vt, but no face uses them"},
       {"vertex_twice", kSquare + kFaces + "f 2 3 3\n", ":7: face 3 is degenerate: it names vertex 3 twice"},
       {"no_vertices", "f 1 2 3\n", "no vertices"},
       {"empty", "", "no vertices"},
       {"no_faces", kSquare, "no faces"},
       {"line_element", kSquare + kFaces + "l 1 2\n", ":7: a line element"},
-      {"unknown_statement", kSquare + kFaces + "curv 0 1 1 2\n", ":7: 'curv' is no statement of a triangle mesh"},
+      {"unknown_statement", kSquare + kFaces + "curv 0 1 1 2\n", ":7: 'curv' is not a statement of a triangle mesh"},
       {"binary",
        std::string("\x7f"
                    "ELF\0\x01\x02",
                    7) +
            "\n",
-       "is no statement of a triangle mesh"},
+       "is not a statement of a triangle mesh"},
       {"many_numbers", "v 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18\n", "has more than 16 numbers"},
   };
   return files;
@@ -290,7 +290,7 @@ TEST(EdgesOf, ListsEachOnceInOrder) {
   EXPECT_EQ(edges(4, 1), 3);
 }
 
-/// Every pair, in floating point: slow, and right away from degenerate cases.
+/// Counts by checking every pair in floating point: slow, and wrong only in degenerate cases.
 Index count_by_brute_force(const Positions& x, const Faces& faces) {
   const auto edges = edges_of(faces);
   Index count = 0;
@@ -350,7 +350,7 @@ TEST(CountIntersections, FindsAnEdgeThroughATriangle) {
 TEST(CountIntersections, IsZeroForFlatAndForParallelLayers) {
   const Garment shirt = read_garment(ConfigNode::scalar(WEFT_SOURCE_DIR "/configs/garments/tshirt.yaml"));
   EXPECT_EQ(count_intersections(shirt.positions, shirt.faces), 0);
-  // Tilted so that the coordinates of the plane are no round numbers.
+  // Tilted so that the coordinates of the plane are not round numbers.
   Positions tilted = shirt.positions;
   for (Index v = 0; v < tilted.rows(); ++v) tilted(v, 2) = 0.37 * tilted(v, 0) - 0.21 * tilted(v, 1);
   EXPECT_EQ(count_intersections(tilted, shirt.faces), 0);

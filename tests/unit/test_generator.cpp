@@ -1,3 +1,4 @@
+#include "meshes/intersections.hpp"
 #include "meshes/mesher.hpp"
 #include "test_support.hpp"
 

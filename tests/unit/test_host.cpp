@@ -50,7 +50,7 @@ TEST_P(HostThreads, RethrowsTheErrorOfTheLowestIndex) {
                 });
               }),
               "3");
-    EXPECT_EQ(runs, 50);  // the others ran all the same, whatever the number of threads
+    EXPECT_EQ(runs, 50);  // the others ran, too, with any number of threads
   }
   std::atomic<int> runs = 0;
   host->parallel_for(5, [&](std::int64_t) { ++runs; });

@@ -110,7 +110,7 @@ TEST(Trajectory, DecisionsAreTheControlsRowByRowUnlessOverridden) {
   EXPECT_THROW(toy.advance({}, state, Vector::Zero(2)), ShapeError);
 }
 
-/// Bends what it adds, so that no derivative is that of another frame: s' = s + c (1 + s), c constant in a segment.
+/// Bends the sum, so that every frame has its own derivative: s' = s + c (1 + s), c constant in a segment.
 class Growing final : public ToyTrajectory {
  public:
   Vector advance(const Manipulation&, ConstVec state, ConstVec control) const override {

@@ -110,7 +110,7 @@ TEST(WriteFabric, ReadsBackToTheSameBits) {
   EXPECT_EQ(write_fabric(read).to_yaml(), text);
 }
 
-// Numbers of our own: what a file of the format looks like, no fabric's measurements.
+// Made-up numbers in the format of such a file, not measurements of a fabric.
 const std::string kJson = R"({
   "density": 0.2,
   "stretching": [[60, 12, 30, 20], [61, 13, 31, 21], [62, 14, 32, 22], [63, -5, 33, 23], [64, 16, 34, 24], [65, 17, 35, 25]],
@@ -217,7 +217,7 @@ TEST(MaterialSpace, BasicMaterialIsAnisotropicAndSpansItsRanges) {
   EXPECT_NEAR(low.self_friction / low.friction, high.self_friction / high.friction, 1e-12);
   EXPECT_NEAR(high.bend_warp_n_m / low.bend_warp_n_m, 100.0, 1e-9);
   EXPECT_NEAR(high.bend_bias_n_m / high.bend_warp_n_m, low.bend_bias_n_m / low.bend_warp_n_m, 1e-12);
-  EXPECT_LE(high.stretch_weft_n_per_m, 690.0);  // what the file says its range ends at
+  EXPECT_LE(high.stretch_weft_n_per_m, 690.0);  // the end of the range in the file
   EXPECT_DOUBLE_EQ(low.thickness_m, 0.0005);
   EXPECT_DOUBLE_EQ(high.thickness_m, 0.004);
   // Each property moves its own figures only.
@@ -239,7 +239,7 @@ TEST(MaterialSpace, BasicIsotropicIsBasicWithEqualWarpAndWeft) {
     EXPECT_EQ(space.ranges[k].low, basic.ranges[k].low);
     EXPECT_EQ(space.ranges[k].high, basic.ranges[k].high);
   }
-  // The equality outlasts the multipliers, so that a simulator that asks for it takes the whole range.
+  // The equality survives the multipliers, so a simulator that asks for it accepts the whole range.
   const Fabric high = space.at(MaterialProperties::Constant(0.83));
   EXPECT_EQ(high.stretch_warp_n_per_m, high.stretch_weft_n_per_m);
   EXPECT_EQ(high.bend_warp_n_m, high.bend_weft_n_m);

@@ -161,7 +161,7 @@ TEST(Params, DescribeTellsNameTypeUnitRangeDefaultAndText) {
   EXPECT_EQ(row(12), "solver.iterations|integer||in [1, 1000]|20|At most so many.");
 }
 
-// A config such as a task: what the tests below expect of its keys follows from these declarations alone.
+// A config such as a task. The declarations here decide what the tests below expect of its keys.
 struct Cloth {
   ConfigNode mesh;
   std::vector<double> wind = {1.0, 0.0};
@@ -216,7 +216,7 @@ TEST(Params, ListsHaveTheLengthThatIsDeclared) {
   EXPECT_EQ(refused("weights: [1, 1, 1, 1]"),
             "fold.yaml:1: weights = [1, 1, 1, 1], must be a list of 3 numbers, each in [0, 1]");
   EXPECT_EQ(refused("corners: [a, b, c]"), "fold.yaml:1: corners = [a, b, c], must be a list of 2 texts");
-  // What is empty by default may be given as empty: a saved config says so.
+  // Entries that are empty by default may be given as empty, as saved configs do.
   Experiment params;
   const ConfigNode resolved = read_params(parse("weights: []"), params);
   EXPECT_NO_THROW(read_params(ConfigNode::parse(resolved.to_yaml(), "saved.yaml"), params));
@@ -255,12 +255,12 @@ TEST(Params, KeepsThePartOfAConfigThatIsAskedFor) {
   const ConfigNode resolved = read_params(parse("wind: [3, 4]\ninner: {mover: {plugin: toy}}\n"), params);
   EXPECT_EQ(keep_params(resolved, infos, examples).to_yaml(),
             "mesh: null\nwind: [3, 4]\ncorners: [a, b]\ninner:\n  mover:\n    plugin: toy\n");
-  // Every key is somewhere.
+  // All other keys are kept here, so no key is lost.
   const auto others = [](const ParamInfo& info) { return info.decides != Decides::examples; };
   EXPECT_THAT(keep_params(resolved, infos, others).keys(),
               ElementsAre("threads", "author", "weights", "model", "method", "inner", "solver"));
 
-  // A file as it was written, of which another command knows more: order and places stay.
+  // Another command knows more keys of this file than were written: order and places stay.
   const auto all = [](const ParamInfo&) { return true; };
   const ConfigNode file = parse("solver: {iterations: 3}\ndata: {a: 1}\ninner:\nwind: [0, 0]\n");
   const ConfigNode known = keep_params(file, infos, all);

@@ -20,7 +20,7 @@ struct CheckCases : testing::Test {
     one.controls = Controls::Zero(3, static_cast<Index>(task.trajectory->controls().size()));
     one.segments = {1, 3};
   }
-  /// What is said of a second case that `change` has changed.
+  /// The error message about a second case that `change` has changed.
   template <class Wanted = ShapeError, class Change>
   std::string refusal(const Change& change) const {
     PredictionCase other = one;

@@ -121,7 +121,7 @@ TEST(Registry, FindsByNameKindAndFile) {
   const auto file = (kToys / "odd_name" / "my_toy.so").string();
   EXPECT_EQ(plugins->find(file).version, "3.0.0");
   EXPECT_THAT(message_of<PluginError>([&] { plugins->find(file, "simulator"); }),
-              HasSubstr("is a trajectory plugin, wanted a simulator"));
+              HasSubstr("is a trajectory plugin, must be a simulator"));
 }
 
 TEST(Registry, AnUnknownNameNamesTheNearestAndWhereItSearched) {

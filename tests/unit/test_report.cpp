@@ -10,6 +10,7 @@
 #include <iterator>
 #include <limits>
 
+#include "report/cases_file.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {
@@ -168,7 +169,7 @@ TEST_F(ReportFolder, RefusesWhatIsNoSession) {
     read_session(folder_ / "session.h5");
     FAIL();
   } catch (const ConfigError& error) {
-    EXPECT_THAT(error.what(), HasSubstr("this is no recorded session"));
+    EXPECT_THAT(error.what(), HasSubstr("this is not a recorded session"));
   }
 }
 

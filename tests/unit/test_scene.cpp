@@ -17,7 +17,7 @@ fabric: {density_kg_per_m2: 0.2}
 duration_s: 0.1
 )";
 
-/// Holds what it is told to hold and lets everything else lie; writes down the calls.
+/// Holds the given vertices and lets everything else lie. Records the calls.
 class FakeSimulator final : public Simulator {
  public:
   SimulatorCapabilities capabilities() const override {

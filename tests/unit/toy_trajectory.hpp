@@ -6,7 +6,7 @@
 
 namespace weft::test {
 
-/// The least that is a trajectory: one control that lifts `hands` hands straight up.
+/// The smallest possible trajectory: one control that lifts `hands` hands straight up.
 class ToyTrajectory : public Trajectory {
  public:
   std::vector<Variable> controls() const override { return {{"dz", "m/frame", 0.0, 0.1, 0.01, 0.01}}; }

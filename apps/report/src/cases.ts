@@ -4,7 +4,7 @@ import { decode, decodeFaces, distancesMm, mean, Shapes, type PageData } from '.
 import { h } from './dom';
 import { Viewer } from './viewer';
 
-/** Choosing one of several things with a list and two buttons. */
+/** A choice of one thing from several, with a list and two buttons. */
 export function chooser(id: string, name: string, entries: string[], choose: (i: number) => void) {
   const select = h('select', { id }, ...entries.map((text, i) => h('option', { value: i }, text)));
   const go = (i: number) => {
@@ -18,7 +18,7 @@ export function chooser(id: string, name: string, entries: string[], choose: (i:
   return { element, go };
 }
 
-/** Leads clicks on marks of a figure that are labelled `case I` to that case. */
+/** Makes clicks on marks of a figure that are labelled `case I` show that case. */
 export function clickCases(figure: HTMLElement, choose: (i: number) => void) {
   figure.classList.add('pick');
   figure.addEventListener('click', (event) => {
@@ -33,13 +33,13 @@ const check = (id: string, text: string, checked: boolean, swatch: HTMLElement |
 };
 
 export interface CaseTexts {
-  /** What the translucent shape is, and what the other one is. */
+  /** Names of the translucent shape and of the other one. */
   goal: string; shape: string;
   distance: string;
   note: (i: number, goal: number) => string;
 }
 
-/** A shape against the one that it should be, for every case of an experiment. Null when no shapes were recorded. */
+/** A shape beside its target, for every case of an experiment. Null when no shapes were recorded. */
 export function caseViewer(page: PageData, name: string, texts: CaseTexts) {
   const { goals, offsets, goal_of } = page.shapes?.[name] ?? {}, garment = page.garment;
   if (!goals || !offsets?.length || !goal_of || !garment) return null;

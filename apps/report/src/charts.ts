@@ -98,7 +98,7 @@ export function materialChart(property: string, knowledge: { centre: number[]; w
     segment, centre: centre[index],
     low: Math.max(0, centre[index] - width[index] / 2), high: Math.min(1, centre[index] + width[index] / 2),
   }));
-  return chart(`What was known of ${property} over segments`, (width) => ({
+  return chart(`Knowledge of ${property} over segments`, (width) => ({
     marginLeft: 32, marginTop: 10,
     x: { domain: [0, Math.max(1, rows.length - 1)], ticks: wholeTicks(0, rows.length - 1, width), tickFormat: 'd', label: 'segments executed' },
     y: { domain: [0, 1], ticks: [0, 0.5, 1], label: null },

@@ -1,4 +1,4 @@
-// The data of a page, as framework/src/report.cpp puts it there; docs/report.md describes it.
+// The data of a page, as framework/report/page.cpp puts it there; docs/report.md describes it.
 import { unzlibSync } from 'fflate';
 
 export interface ArrayRef {
@@ -52,7 +52,7 @@ export interface SessionData {
   released: boolean;
   /** Frame at which the hands let go; what follows is the settling. */
   release_frame: number;
-  /** Missing where nobody knows it. */
+  /** Missing if unknown. */
   true_material?: number[];
   start_error_mm: number;
   frames: ArrayRef;
@@ -119,10 +119,10 @@ export interface PhysicsRow {
   by_seed?: [number, number][];
 }
 export interface PhysicsData { comparisons: number; failed: number; rows: PhysicsRow[] }
-export interface AblationData { description: string; factors: string[]; seeds: number[]; /** What the seeds stand for, where they count cases. */ cases?: string[]; complete: boolean; arms: Arm[] }
+export interface AblationData { description: string; factors: string[]; seeds: number[]; /** Names of the cases, if the seeds count cases. */ cases?: string[]; complete: boolean; arms: Arm[] }
 
 export interface CaseShapes {
-  /** Final shapes as what they are off from their goals ... */
+  /** Final shapes, as differences from their goals ... */
   goals?: ArrayRef[]; offsets?: ArrayRef[]; goal_of?: number[];
   /** ... or shapes after 0, 1, 2, ... segments; null where none were recorded. */
   sequences?: (ArrayRef | null)[];
@@ -159,7 +159,7 @@ function bytesOf(base64: string): Uint8Array {
 
 const product = (shape: number[]) => shape.reduce((a, b) => a * b, 1);
 
-/** Undoes what PageData::store and append_difference of report.cpp do. */
+/** The inverse of PageData::store and append_difference in page.cpp. */
 export function decode(ref: ArrayRef): Float32Array {
   const element = document.getElementById(`weft-array-${ref.array}`);
   const bytes = unzlibSync(bytesOf(element!.textContent!));
@@ -182,7 +182,7 @@ export function decodeFaces(ref: ArrayRef): Uint32Array {
   return Uint32Array.from(decode(ref));
 }
 
-/** Shapes [n, V, 3], decoded when first looked at. */
+/** Shapes [n, V, 3], decoded on first use. */
 export class Shapes {
   private values: Float32Array | null = null;
   readonly count: number;

@@ -67,7 +67,7 @@ export function themeSwitch(): HTMLElement {
   return select;
 }
 
-/** What the address asks for: report.html#frame=120&theme=dark. */
+/** The settings in the address: report.html#frame=120&theme=dark. */
 export const hashOptions = () => new URLSearchParams(location.hash.slice(1));
 
 export function section(id: string, title: string, note: Child, ...children: Child[]): HTMLElement {

@@ -96,6 +96,6 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
     h('div', { class: 'wide' }, section('estimation-overview', 'All cases', 'Centre c and interval c ± w/2 after the last segment against the true value. Click a point to see the case below.', h('div', { class: 'small-multiples' }, ...overview))),
     h('div', { class: 'wide' }, section('estimation-cases', 'Estimates over segments (Fig. 4)', `Band c ± w/2, centre c, and the true value as a dotted line.${viewer ? ' Click in a figure to see the cloth after that segment.' : ' The shapes of the cases were not recorded, so there is nothing to see in 3D.'}`, cases.length ? choice.element : null, charts, viewer?.element)),
     comparison,
-    section('calibration', 'Calibration', 'Share of true values inside the middle share a of the estimated interval. On the dashed line the interval claims what it holds; below it, it claims too much.',
+    section('calibration', 'Calibration', 'Share of true values inside the middle share a of the estimated interval. On the dashed line the interval is calibrated; below the line it is too narrow.',
       key(...names.map((name) => ({ text: name, colour: `var(--${name})` }))), calibration.element));
 }

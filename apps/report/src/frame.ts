@@ -1,4 +1,4 @@
-// What every page has: its head and where its results came from.
+// The parts that every page has: its head, and where its results came from.
 import type { PageData } from './data';
 import { h, themeSwitch } from './dom';
 

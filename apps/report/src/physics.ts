@@ -86,7 +86,7 @@ export function physicsPart({ comparisons, failed, rows }: PhysicsData): HTMLEle
         h('div', { class: 'cases' }, h('label', { class: 'field' }, 'Test', testSelect), h('label', { class: 'check' }, outsideBox, 'only outside their bound'), count), all.element))));
 }
 
-/** Everything that random folds measured, by seed. */
+/** All measurements of random folds, by seed. */
 function foldsPart(rows: PhysicsRow[]): HTMLElement | null {
   const quantities = new Map<string, { test: string; quantity: string; bound: number; points: { seed: number; value: number }[] }>();
   for (const { test, quantity, bound, by_seed } of rows) {
@@ -116,6 +116,6 @@ function foldsPart(rows: PhysicsRow[]): HTMLElement | null {
   });
   const seeds = new Set(list.flatMap(({ points }) => points.map(({ seed }) => seed)));
   return h('div', { class: 'wide' }, section('physics-folds', `Random folds by seed (${seeds.size})`,
-    `A seed draws material and controls of one fold; dashed: the bound. A fold again alone: --set physics.folds.first_seed=SEED --set physics.folds.count=1.${nothing.map(({ quantity, points }) => ` ${quantity}: 0 in all ${points.length}.`).join('')}`,
+    `A seed draws material and controls of one fold; dashed: the bound. To repeat one fold alone: --set physics.folds.first_seed=SEED --set physics.folds.count=1.${nothing.map(({ quantity, points }) => ` ${quantity}: 0 in all ${points.length}.`).join('')}`,
     h('div', { class: 'small-multiples broad' }, ...charts)));
 }

@@ -76,7 +76,7 @@ export function planningPart(page: PageData, planning: PlanningData): HTMLElemen
       tile(`Median error at w = ${narrow.width}`, 'median_mm', fixed(narrow.median_mm), 'mm'), tile('Mean error there', 'mean_mm', fixed(narrow.mean_mm), 'mm'),
       tile('The paper’s median at w = 0.1', 'paper_mm', fixed(kPaperMedianMm), 'mm'), tile('Cases', 'cases', String(planning.cases.length), failed ? `${failed} failed` : '')) : null,
     h('div', { class: 'figures' },
-      h('div', { class: 'wide' }, section('planning-figure', 'Planning: error against what is known of the material (the paper’s Fig. 3)',
+      h('div', { class: 'wide' }, section('planning-figure', 'Planning: error against knowledge of the material (the paper’s Fig. 3)',
         'Mean distance to the goal over all vertices, after settling. Boxes: quartiles and median; whiskers: farthest case within 1.5 times the box; diamonds: mean. Numbers at the top count the outliers, drawn in orange. Click a point to see the case.',
         key({ text: `the paper’s median at w = 0.1: ${kPaperMedianMm} mm`, colour: 'var(--c2)', style: 'dashed' }),
         h('label', { class: 'check' }, scaleBox, 'fit the scale to all outliers'), figure.element,

@@ -39,7 +39,7 @@ export class Player {
       h('div', { class: 'scrub' }, this.range, ticks),
       this.button,
       h('button', { onclick: () => this.jump(-1), title: 'Back one segment ([)', 'aria-label': 'Back one segment', id: 'previous' }, icon('M4 3v10M13 3 6 8l7 5z')),
-      h('button', { onclick: () => this.jump(1), title: 'On one segment (])', 'aria-label': 'On one segment', id: 'next' }, icon('M12 3v10M3 3l7 5-7 5z')),
+      h('button', { onclick: () => this.jump(1), title: 'Forward one segment (])', 'aria-label': 'Forward one segment', id: 'next' }, icon('M12 3v10M3 3l7 5-7 5z')),
       this.speed, this.where);
     document.addEventListener('keydown', (event) => this.key(event));
   }

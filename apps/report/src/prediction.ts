@@ -34,7 +34,7 @@ export function predictionPart(page: PageData, prediction: PredictionData): HTML
   return h('div', { class: 'figures', id: 'prediction' },
     section('prediction-steps', 'Prediction: error against segments ahead', 'Mean distance over all vertices, over held-out examples.',
       key(...series.map(({ name, colour }) => ({ text: `mean, ${name}`, colour, style: 'line' as const })), { text: 'median, from the start', colour: 'var(--c0)', style: 'dashed' }), errors.element),
-    section('prediction-coverage', 'Is the predicted sigma right?', 'Share of coordinates within one σ of what happened; 0.683 for a normal distribution (dashed).',
+    section('prediction-coverage', 'Is the predicted sigma right?', 'Share of coordinates within one σ of the recorded shape; 0.683 for a normal distribution (dashed).',
       key(...series.map(({ name, colour }) => ({ text: name, colour, style: 'line' as const }))), coverage.element),
     h('div', { class: 'wide' }, h('details', { id: 'prediction-numbers' }, h('summary', {}, 'Numbers by segments ahead'), h('div', { class: 'scroll', tabindex: 0 }, h('table', {},
       h('thead', {}, h('tr', {}, ...['', 'Ahead', ...head.slice(1)].map((text) => h('th', { scope: 'col' }, text)))),
@@ -51,7 +51,7 @@ export function predictionPart(page: PageData, prediction: PredictionData): HTML
 function casesPart(page: PageData, { cases }: PredictionData): HTMLElement | null {
   if (!cases?.length) return null;
   const viewer = caseViewer(page, 'prediction', {
-    goal: 'what happened', shape: 'as it was predicted', distance: 'distance from what happened',
+    goal: 'recorded shape', shape: 'predicted shape', distance: 'distance from the recorded shape',
     note: (i) => `Example ${cases[i].example}, ${cases[i].segments} segments ahead: predicted ${fixed(cases[i].error_mm)} mm off, σ ${fixed(cases[i].sigma_mm)} mm.`,
   });
   const shown = cases.slice(0, viewer?.count ?? 0);

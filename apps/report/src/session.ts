@@ -11,7 +11,7 @@ type Colouring = 'fabric' | 'goal' | 'prediction' | 'sigma';
 const kColourings: Record<Colouring, { option: string; legend: string }> = {
   fabric: { option: 'fabric, front and back', legend: '' },
   goal: { option: 'distance to the goal', legend: 'distance to the goal, mm' },
-  prediction: { option: 'distance from what was predicted', legend: 'distance from what was predicted, mm' },
+  prediction: { option: 'distance from the prediction', legend: 'distance from the prediction, mm' },
   sigma: { option: 'predicted sigma', legend: 'predicted σ, mm' },
 };
 
@@ -261,7 +261,7 @@ export function sessionPage(page: PageData): HTMLElement {
     lossText.textContent = `${won}${ended ? `. ${howItEnded(ended)}` : ''}.`;
   }
 
-  const aheadChart = chart('Prediction of the round against what happened', (width) => {
+  const aheadChart = chart('Prediction of the round against the execution', (width) => {
     const { error_mm, sigma_mm } = rounds[round].prediction;
     const rows = error_mm.map((error, j) => ({ segment: round + j + 1, value: error }));
     const spread = sigma_mm.map((value, j) => ({ segment: round + j + 1, value }));
@@ -347,10 +347,10 @@ export function sessionPage(page: PageData): HTMLElement {
       section('error', 'Distance to the goal', 'Mean over all vertices.',
         key({ text: 'cloth as it was', colour: 'var(--c0)', style: 'line' }, { text: 'end that each plan predicted', colour: 'var(--c1)', style: 'line' }, { text: 'end with the default control', colour: 'var(--muted)', style: 'dashed' }),
         errorChart.element),
-      section('ahead', 'Prediction against what happened', 'What the chosen round predicted for the segments that followed.',
-        key({ text: 'mean distance from what happened', colour: 'var(--c0)', style: 'line' }, { text: 'mean predicted σ', colour: 'var(--prediction)' }, { text: 'other rounds', colour: 'var(--muted)', style: 'line' }),
+      section('ahead', 'Prediction against execution', 'The prediction of the chosen round for the segments that followed.',
+        key({ text: 'mean distance from the executed shape', colour: 'var(--c0)', style: 'line' }, { text: 'mean predicted σ', colour: 'var(--prediction)' }, { text: 'other rounds', colour: 'var(--muted)', style: 'line' }),
         aheadChart.element),
-      h('div', { class: 'wide' }, section('material', session.estimates ? 'What was learnt of the material' : 'What the planner knew of the material', `Band c ± w/2 and centre c ${session.estimates ? 'estimated after each segment' : 'that each plan was made with'}; ${session.true_material ? 'the dotted line is the true value' : 'nobody knows the true value'}. 0 and 1 are the ends of the range that the material space spans.`,
+      h('div', { class: 'wide' }, section('material', session.estimates ? 'What the session learnt about the material' : 'What the planner knew about the material', `Band c ± w/2 and centre c ${session.estimates ? 'estimated after each segment' : 'that each plan was made with'}; ${session.true_material ? 'the dotted line is the true value' : 'nobody knows the true value'}. 0 and 1 are the ends of the range that the material space spans.`,
         h('div', { class: 'small-multiples' }, ...page.properties.map((name, p) => h('div', {},
           h('h3', {}, h('span', { class: 'swatch', style: `background:var(--${name})` }), label(name),
             session.true_material ? h('span', { class: 'sub' }, `true ${fixed(session.true_material[p], 2)}`) : null), knowledgeCharts[p].element))))),
@@ -374,7 +374,7 @@ export function sessionPage(page: PageData): HTMLElement {
   }
   function keysDetails() {
     const rows: [string, string][] = [
-      ['Space', 'play, pause'], ['[ ]', 'one segment back, on'], [', .', 'one frame back, on'],
+      ['Space', 'play, pause'], ['[ ]', 'one segment back, forward'], [', .', 'one frame back, forward'],
       ['arrows', 'in the 3D view: turn; with shift: move'], ['+ −', 'in the 3D view: zoom (so does the wheel, once the view is clicked)'], ['R 2 3', 'in the 3D view: reset, from the side, from above'],
     ];
     return h('details', {}, h('summary', {}, 'Keys'), h('table', {}, h('tbody', {}, ...rows.map(([keys, text]) =>

@@ -38,11 +38,11 @@ void main() {
 
 const kLabelHeight = 0.045;  // of the scale along the grid, as a tangent of the angle it fills
 
-// Grid and shadow lie under everything, and the camera stays above them: drawn first, they need no depth, and cloth that
-// lies a millimetre above them is never hidden by rounding.
+// Grid and shadow lie under everything, and the camera stays above them. So they are drawn first, without depth, and
+// rounding never hides cloth that lies a millimetre above them.
 const kOnTheGround = { depthTest: false, depthWrite: false };
 
-/** A colour as the bytes on the screen: the shader writes what it gets. */
+/** A colour as the bytes on the screen, since the shader writes its inputs unchanged. */
 function screenColour(name: string): Color {
   return new Color().setStyle(cssColour(name), LinearSRGBColorSpace);
 }
@@ -53,7 +53,7 @@ function surfaceMaterial(opacity: number): ShaderMaterial {
     polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
     uniforms: {
       front: { value: new Color() }, back: { value: new Color() }, eye: { value: new Vector3(0, 0, 1) }, opacity: { value: opacity },
-      // Where an overlay lies within a few millimetres of the cloth, the cloth is what shows.
+      // The cloth hides overlays within a few millimetres of it.
       recede: { value: opacity < 1 ? 0.006 : 0 }, range: { value: 1 }, coloured: { value: false }, map: { value: null },
     },
   });
@@ -120,7 +120,7 @@ export type Overlay = 'goal' | 'prediction';
 export class Viewer {
   readonly element: HTMLElement;
   readonly canvas: HTMLCanvasElement | null = null;
-  /** Frames drawn so far; tests measure with it. */
+  /** Frames drawn so far, which tests read. */
   drawn = 0;
   private renderer: WebGLRenderer | null = null;
   private readonly scene = new Scene();
@@ -134,7 +134,7 @@ export class Viewer {
   private readonly lines = new Map<string, { line: Line2; colour: string }[]>();
   private readonly hands: Mesh[] = [];
   private readonly extent: Vector3[] = [];
-  /** The view that holds while nobody turns it. */
+  /** The view until somebody turns it. */
   private preset: 'reset' | 'side' | 'top' | null = 'reset';
   private groundKey = '';
   private queued = false;
@@ -200,7 +200,7 @@ export class Viewer {
       h('button', { onclick: () => this.view('side'), title: 'From the side (2)' }, 'Side'),
       h('button', { onclick: () => this.view('top'), title: 'From above (3)' }, 'Top'),
       h('button', { onclick: () => this.view('reset'), title: 'Reset the view (R)' }, 'Reset'),
-      h('button', { onclick: () => this.save(), title: 'Save what is shown as a PNG file' }, 'Save PNG')));
+      h('button', { onclick: () => this.save(), title: 'Save this view as a PNG file' }, 'Save PNG')));
     new ResizeObserver(() => this.resize()).observe(this.element);
     onTheme(() => this.paint());
   }
@@ -301,7 +301,8 @@ export class Viewer {
     controls.target.set(0, 0, 0);
     for (const seen of this.extent) controls.target.addScaledVector(seen, 1 / this.extent.length);
     let distance = 2;
-    // A few steps of centring and scaling put everything into the picture, whatever the direction and the picture's shape.
+    // A few steps of centring and scaling put everything into the picture, for any direction and any shape of the
+    // picture.
     const point = new Vector3();
     for (let step = 0; step < 12; ++step) {
       camera.position.copy(controls.target).addScaledVector(direction, distance);
@@ -469,8 +470,7 @@ export class Viewer {
   }
 }
 
-/**
- * What draws: null where there is no WebGL (asked here, because three.js would report it on the console). Software
+ * How WebGL draws, or null without WebGL. (Tested here, because three.js would report it on the console.) Software
  * renderers cannot afford several samples per pixel.
  */
 function webGl(): { software: boolean } | null {

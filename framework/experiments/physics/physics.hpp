@@ -11,7 +11,7 @@
 #include "weft/params.hpp"
 #include "weft/simulator.hpp"
 
-/// The physics suite: a simulator against closed forms. Knows only the Simulator interface; makes its own meshes.
+/// What the tests of the physics suite have in common: their parameters, cases and rows.
 namespace weft {
 
 /// A simulator at some settings. The suite makes as many as it likes, on any thread.
@@ -19,8 +19,6 @@ struct SimulatorVariant {
   std::string name;
   std::function<std::shared_ptr<Simulator>()> make;
 };
-/// The simulator of a slot, such as `simulator` of a task. The host must outlive it.
-SimulatorVariant simulator_variant(std::string name, Host& host, const ConfigNode& slot);
 
 /// One comparison. Lengths in m unless the quantity says otherwise.
 struct PhysicsRow {
@@ -101,17 +99,21 @@ struct PhysicsCase {
   /// @param variants the first is the one under test; the others are its finer steps, for what must not depend on them.
   std::function<std::vector<PhysicsRow>(const std::vector<SimulatorVariant>& variants)> run;
 };
-/// @param task optional: adds the crease of the task's fold, random folds and what its material properties do. Only the
-/// cases' run() looks into it: without running, an empty Task gives the same list.
-/// @param origin what params were read from, for messages. @throws ConfigError for an unknown test name, and for a
-/// choice that leaves no case.
-std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task = nullptr,
-                                       const ConfigNode& origin = {});
-std::vector<std::string> physics_test_names();
-/// Runs one case; an exception becomes a failed row.
-std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case,
-                                         const std::vector<SimulatorVariant>& variants);
 /// "test  case  quantity  reference  measured  error  bound  ok"
 std::string format_physics_row(const PhysicsRow& row);
 
+namespace physics {
+
+/// A row that passes if error <= bound.
+PhysicsRow row(std::string test, const SimulatorVariant& variant, std::string name, std::string quantity,
+               double reference, double measured, double error, double bound, std::string note = "");
+/// The same with error = |measured / reference - 1|.
+PhysicsRow relative(std::string test, const SimulatorVariant& variant, std::string name, std::string quantity,
+                    double reference, double measured, double bound, std::string note = "");
+/// printf of one number.
+std::string text(const char* format, double value);
+/// "20 mm". @param edge m.
+std::string mm(double edge);
+
+}  // namespace physics
 }  // namespace weft

@@ -7,13 +7,13 @@
 
 namespace weft {
 
-/// The objective at one point. What was not asked for is empty.
+/// The objective at one point. Entries that the request did not ask for are empty.
 struct PointValue {
   double cost = 0.0;
   Vector gradient;      ///< [dim]
   Vector residuals;     ///< [r]
   Matrix jacobian;      ///< [r, dim]
-  bool finite = false;  ///< cost and everything that was asked for
+  bool finite = false;  ///< cost and every requested entry are finite
 };
 
 /// One instance of a search, as the solver that runs it sees it.
@@ -21,12 +21,12 @@ class PointwiseSearch {
  public:
   virtual ~PointwiseSearch() = default;
   virtual Index instance() const = 0;
-  /// The objective at x, which is clamped into the box first. Blocks until every other running instance has asked for a
-  /// point too, or has ended; then all of them are evaluated in one batch.
-  /// @param x [dim]; a point that is not finite is not evaluated and comes back with cost +infinity.
-  /// @return valid until the next call; null when the search is over for this instance: its budget is spent, the
-  /// observer said so, or an exception is on its way. Every later call returns null as well: let the solver end by its
-  /// own means.
+  /// Evaluates the objective at x, clamped into the box. Blocks until every other running instance has asked for a
+  /// point or has ended. Then all points are evaluated in one batch.
+  /// @param x [dim]. A non-finite point is not evaluated; its cost is +infinity.
+  /// @return valid until the next call. Null when the search is over for this instance: its budget is spent, the
+  /// observer stopped the search, or an exception was thrown. Every later call also returns null; the solver should
+  /// then return.
   virtual const PointValue* evaluate(ConstVec x, const EvaluationRequest& request) = 0;
   virtual bool over() const = 0;          ///< evaluate() would return null
   virtual void count_iteration() = 0;     ///< OptimiserResult::iterations
@@ -37,32 +37,31 @@ class PointwiseSearch {
   virtual bool last_was_finite() const = 0;  ///< the last evaluated point; false before the first
 };
 
-/// What a solver says when it ends by itself.
+/// Why a solver ended by itself.
 struct SolverOutcome {
   OptimiserStatus status = OptimiserStatus::converged;
   std::string message;
 };
-/// Minimises one instance from `start` ([dim], inside the box). Runs on a thread of its own.
+/// Minimises one instance from `start` ([dim], inside the box). Each instance runs on its own thread.
 using PointwiseSolver = std::function<SolverOutcome(PointwiseSearch& search, const Vector& start)>;
 
-/// The batching evaluator: runs a solver that evaluates one point at a time on every instance at once, so that it pays
-/// what a batched solver pays per evaluation. One plain thread per instance; they wait for each other at every
-/// evaluation, and when all that still run have asked, this thread evaluates the batch (one call of Objective::evaluate
-/// per kind of request in it: costs only, gradients, ...) and wakes them. Objective and observer are called on the
-/// calling thread only.
+/// Runs a solver that evaluates one point at a time on all instances, and evaluates their points in batches. The solver
+/// then costs as little per evaluation as a batched one. Every instance has a thread, which waits at each evaluation.
+/// When all running instances wait, the calling thread evaluates the batch and wakes them. It calls
+/// Objective::evaluate once per kind of request in the batch (costs only, gradients, ...). Objective and observer are
+/// called on the calling thread only.
 ///
-/// Which points share a batch depends on the solvers' decisions and never on timing: the columns ascend by instance,
-/// and an instance that has ended is left out. So results are equal bit for bit from run to run, and equal to those of
-/// every instance alone, as the objectives of planning and estimation keep the columns independent: where a predictor's
-/// bits depend on the row, they pad (predict_in_rows).
+/// The solvers' decisions alone fix which points share a batch; timing does not. Columns ascend by instance, and ended
+/// instances are left out. So runs are equal bit for bit. Each instance also gets the bits of a run alone, because the
+/// objectives of planning and estimation keep the columns independent. Where a predictor's bits depend on the row, they
+/// pad the batch (predict_in_rows).
 ///
-/// Does for the solver: bounds (points are clamped), max_evaluations, the best point, the observer (after every batch),
-/// and exceptions: what the objective, the observer or a solver throws ends all instances and is rethrown here (of
-/// several solvers that of the lowest instance). max_iterations is the solver's own business.
+/// Handled here: bounds (points are clamped), max_evaluations, the best point, the observer (after every batch) and
+/// exceptions. An exception of the objective, the observer or a solver ends all instances and is rethrown here; if
+/// several solvers throw, that of the lowest instance. The solver handles max_iterations.
 ///
-/// Cost: a thread per instance (some 20 us to start, 8 MB of address space) and a wake-up per instance and batch (some
-/// 5 to 10 us on one core; tests/bench/bench_batching.cpp), to be set against tens of milliseconds for a batch of
-/// predictions.
+/// Cost: a thread per instance (about 20 us to start, 8 MB of address space) and a wake-up per instance and batch
+/// (5 to 10 us on one core; tests/bench/bench_batching.cpp). A batch of predictions takes tens of milliseconds.
 /// @throws as Optimiser::minimise; Error when the threads cannot be started.
 WEFT_API std::vector<OptimiserResult> minimise_pointwise(const std::string& who, Objective& objective,
                                                          ConstMatrix starts, const Box& bounds, ConstVec scale,

@@ -13,25 +13,24 @@
 
 namespace weft {
 
-/// A node of a YAML configuration: null, scalar, sequence or mapping, knowing where it came from. A cheap handle on an
-/// immutable tree; `with` returns a changed copy. No YAML library's type crosses this header.
+/// A node of a YAML configuration (null, scalar, sequence or mapping) and its location in the file. A cheap handle on
+/// an immutable tree; `with` returns a changed copy. No YAML library's type crosses this header.
 class WEFT_API ConfigNode {
  public:
   enum class Kind { null, scalar, sequence, mapping };
 
   ConfigNode();  ///< null
 
-  /// Reads a file; a mapping with `extends: other.yaml` (path relative to the file) is merged over that file, key by
-  /// key.
+  /// Reads a file. A mapping with `extends: other.yaml` (path relative to the file) is merged over that file.
   /// @throws ConfigError "file:line: ..." for a missing file, a syntax error, a repeated key or a circular extends.
   static ConfigNode load(const std::filesystem::path& file);
-  /// Reads YAML text; `name` stands for the file in messages, `folder` is what relative paths are relative to.
+  /// Reads YAML text. Messages show `name` as the file; relative paths start at `folder`.
   static ConfigNode parse(std::string_view text, const std::string& name, const std::filesystem::path& folder = ".");
   static ConfigNode scalar(std::string value);
   static ConfigNode number(double value);  ///< shortest text that reads back to the same bits
   static ConfigNode integer(std::int64_t value);
   static ConfigNode boolean(bool value);
-  static ConfigNode quoted(std::string value);  ///< always read back as a string
+  static ConfigNode quoted(std::string value);  ///< a string, also when it looks like a number
   static ConfigNode sequence(std::vector<ConfigNode> items);
   static ConfigNode mapping(std::vector<std::pair<std::string, ConfigNode>> entries);
 
@@ -41,9 +40,9 @@ class WEFT_API ConfigNode {
   bool is_sequence() const { return kind() == Kind::sequence; }
   bool is_mapping() const { return kind() == Kind::mapping; }
 
-  /// Mapping: the value of a key, or nullopt. @throws ConfigError if this is no mapping (null counts as an empty one).
+  /// The value of a key, or nullopt. A null node counts as an empty mapping. @throws ConfigError if this is no mapping.
   std::optional<ConfigNode> find(std::string_view key) const;
-  /// @throws ConfigError naming the nearest key when it is missing.
+  /// The value of a key. @throws ConfigError naming the nearest key if there is none.
   ConfigNode at(std::string_view key) const;
   bool has(std::string_view key) const { return find(key).has_value(); }
   std::vector<std::string> keys() const;       ///< in file order
@@ -55,17 +54,17 @@ class WEFT_API ConfigNode {
   std::int64_t as_int() const;
   bool as_bool() const;
   std::string as_string() const;
-  /// The scalar as a path, relative to the file it stands in (a value of --set: to the working directory).
+  /// The scalar as a path, relative to the folder of its file (a value of --set: to the working directory).
   std::filesystem::path as_path() const;
 
-  /// A copy with the value at a dotted key path ("simulator.params.substeps", "pins.0") replaced or added.
-  /// @throws ConfigError when the path runs through a scalar.
+  /// A copy in which the value at a dotted key path ("simulator.params.substeps", "pins.0") is replaced or added.
+  /// @throws ConfigError if the path runs through a scalar.
   ConfigNode with(std::string_view dotted_path, const ConfigNode& value) const;
-  ConfigNode without(std::string_view key) const;  ///< mapping without a top-level key
-  /// `over` merged over this, key by key; sequences and scalars are replaced.
+  ConfigNode without(std::string_view key) const;  ///< a copy of this mapping without one top-level key
+  /// A copy with `over` merged over it, key by key. Sequences and scalars are replaced.
   ConfigNode merged(const ConfigNode& over) const;
 
-  std::string where() const;  ///< "fold.yaml:12", or "--set" and the like
+  std::string where() const;  ///< "fold.yaml:12", or "--set"
   std::string path() const;   ///< "simulator.params.substeps"
   std::filesystem::path folder() const;
   /// @throws ConfigError "<where>: <path>[.key] <message>" with where and path of this node.
@@ -83,31 +82,32 @@ class WEFT_API ConfigNode {
   friend struct ConfigNodeAccess;
 };
 
-/// The entry of `known` with the smallest edit distance to `word`; empty if `known` is.
+/// The entry of `known` with the smallest edit distance to `word`; empty if `known` is empty.
 WEFT_API std::string nearest(std::string_view word, const std::vector<std::string>& known);
 
 /// Applies `--set key.path=value` (the value is YAML). @throws ConfigError naming the text.
 WEFT_API ConfigNode apply_override(const ConfigNode& config, const std::string& assignment);
 
-// How a refusal says where, which key, what it got and what is allowed. Beside ConfigNode::fail().
+// Beside ConfigNode::fail(): the parts of a message that names location, key, value and what is allowed.
 
-/// The node at a dotted key path ("goal.material", "pins.0"), for messages about it: where there is none, null, in the
-/// place of the innermost node on the path that there is.
+/// The node at a dotted key path ("goal.material", "pins.0"), for messages about it. If it does not exist, a null node
+/// with the location of its nearest existing parent.
 WEFT_API ConfigNode place(const ConfigNode& config, std::string_view dotted_path);
 
-/// A value in a message: 5, "5" if quoted, [1, 2], a mapping.
+/// A value as messages show it: 5, "5" if quoted, [1, 2], a mapping.
 WEFT_API std::string shown(const ConfigNode& node);
 /// "one of A, B, C".
 WEFT_API std::string one_of(const std::vector<std::string>& allowed);
-/// "; nearest: ENTRY" for the end of a message; empty when more than two letters, and half of them, differ.
+/// "; nearest: ENTRY" for the end of a message. Empty when more than two letters, and more than half of them, differ.
 WEFT_API std::string nearest_hint(std::string_view word, const std::vector<std::string>& known);
 
 /// @throws ConfigError "<where>: <path> = <got>, must be <wanted>".
 [[noreturn]] WEFT_API void must_be(const ConfigNode& node, const std::string& wanted);
-/// For what a value leads to: a file, a name. @throws ConfigError "<where>: <path> = <got>: <reason>".
+/// For a value that names something wrong, such as a damaged file.
+/// @throws ConfigError "<where>: <path> = <got>: <reason>".
 [[noreturn]] WEFT_API void fail_because(const ConfigNode& node, const std::string& reason);
 
-/// What `read` returns; its ConfigError is blamed on the node, as fail_because() does.
+/// Returns read(). If it throws a ConfigError, fail_because() reports that at the node.
 template <class Read>
 auto blaming(const ConfigNode& node, Read&& read) {
   try {

@@ -12,9 +12,9 @@
 
 namespace weft {
 
-/// One manipulation example (section 3): what was done to which material, and every shape.
+/// One manipulation example (section 3): the material, the controls and the simulated shapes.
 struct Example {
-  std::int64_t index = 0;  ///< its number; with the seed it fixes everything else
+  std::int64_t index = 0;  ///< index and seed fix everything else in the example
   MaterialProperties q = MaterialProperties::Zero();
   Controls controls;          ///< [k, C]
   Controls states;            ///< [k + 1, S]: at the start and after every segment
@@ -23,7 +23,7 @@ struct Example {
   bool released = false;
   SettleResult settle;
   double max_grasp_strain = 0.0;
-  std::string failure;  ///< why its simulation failed; then there are no segments and no shapes
+  std::string failure;  ///< why the simulation failed; a failed example has no segments and no shapes
 
   Index segments() const { return controls.rows(); }
   bool failed() const { return !failure.empty(); }
@@ -31,26 +31,25 @@ struct Example {
 
 enum class Split { train, validation, test };  // in order of use: < is meaningful
 inline constexpr std::array<const char*, 3> kSplitNames = {"train", "validation", "test"};
-/// @throws ConfigError for what is no split's name.
+/// @throws ConfigError if `name` is not the name of a split.
 WEFT_API Split split_named(const std::string& name);
-/// The same; `all`: none, for every split. @throws ConfigError for what is neither.
+/// The split of that name, or nullopt for `all`. @throws ConfigError for any other name.
 WEFT_API std::optional<Split> split_or_all(const std::string& name);
 
-/// What tells whether two datasets can share examples: example i is made of (seed, i), its split goes by i and the
-/// fractions.
+/// Tells whether two datasets share examples. Seed and i fix example i; i and the fractions fix its split.
 struct DatasetOrigin {
   std::string identity;
   std::uint64_t seed = 0;
   double validation_fraction = 0.0, test_fraction = 0.0;
 
-  /// By example, never by frame, from the index alone: more examples never move one from one split to another.
+  /// All frames of an example are in one split. It depends on the index alone, so adding examples moves none.
   WEFT_API Split split(std::int64_t index) const;
 };
 
 /// What all shards of a dataset share.
 struct DatasetHeader {
   std::string config;      ///< resolved config that made it, YAML
-  std::string identity;    ///< hash of config, seed and garment: equal identities, equal examples
+  std::string identity;    ///< hash of config, seed and garment; datasets with equal identities hold equal examples
   std::string provenance;  ///< version, commit and plugins, JSON
   std::uint64_t seed = 0;
   std::string garment_name;
@@ -68,18 +67,17 @@ struct DatasetHeader {
 struct Dataset {
   DatasetHeader header;
   std::vector<Example> examples;
-  std::vector<DatasetOrigin> appended;  ///< after append(): all that it was put together from, the first one included
-  std::vector<std::size_t> begins;      ///< after append(): position of the first example of each of these
+  std::vector<DatasetOrigin> appended;  ///< after append(): the datasets it consists of, including the first
+  std::vector<std::size_t> begins;      ///< after append(): the position of each one's first example
 
-  /// The datasets that the examples come from: one, or all that were appended.
+  /// The datasets that the examples come from: one, or several after append().
   std::vector<DatasetOrigin> origins() const { return appended.empty() ? std::vector{header.origin()} : appended; }
   /// Which of origins() an example comes from. @param example position in `examples`.
   WEFT_API std::size_t source(std::size_t example) const;
-  /// Positions in `examples` of the good ones of a split; of all, when there is none.
+  /// Positions in `examples` of those of a split that did not fail; nullopt: of all splits.
   WEFT_API std::vector<std::size_t> select(std::optional<Split> split) const;
   WEFT_API Positions shape(std::size_t example, Index segment) const;  ///< [V, 3] m
-  /// @throws ConfigError with the reason when the examples were not made for this task's garment, trajectory or
-  /// manipulation.
+  /// @throws ConfigError with the reason if the examples belong to another garment, trajectory or manipulation.
   WEFT_API void require_task(const Task& task) const;
 };
 

@@ -7,7 +7,7 @@
 namespace weft {
 
 /// Base of every error that weft throws. Exported, so that `catch` works across plugins.
-/// Messages say where, what, got, wanted.
+/// A message names the location, the key or argument, its value and what is allowed.
 class WEFT_API Error : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

@@ -1,3 +1,3 @@
 #pragma once
-// Built with -fvisibility=hidden; these mark what crosses library boundaries.
+// weft is built with -fvisibility=hidden. This marks the names that other libraries can see.
 #define WEFT_API __attribute__((visibility("default")))

@@ -14,7 +14,7 @@ namespace weft {
 /// Immutable once made; topology is fixed for its whole life.
 struct Garment {
   std::string name;
-  Positions positions;                    ///< [V, 3] m: the shape before anything happened, lying flat for a 2D garment
+  Positions positions;                    ///< [V, 3] m: the initial shape; a 2D garment lies flat
   RestPositions rest;                     ///< [V, 2] m: unstretched, x = warp, y = weft
   Faces faces;                            ///< [F, 3]
   std::map<std::string, Index> vertices;  ///< named vertices, such as left_sleeve_top
@@ -27,8 +27,7 @@ struct Garment {
 };
 
 /// Checks the mesh (non-manifold edges or vertices, degenerate or inverted rest faces, NaN, wrong or unused vertices)
-/// and makes a garment of it. Without vt the rest shape is the mesh as given: its xy when it lies flat, and otherwise
-/// it must be given as vt.
+/// and makes a garment of it. Without vt the mesh must lie flat; its xy are then the rest shape.
 /// @throws ConfigError naming the face or vertex (0-based as in weft, 1-based as in the OBJ).
 WEFT_API Garment make_garment(const Mesh& mesh, std::string name, std::map<std::string, Index> vertices = {});
 
@@ -36,7 +35,7 @@ WEFT_API Garment make_garment(const Mesh& mesh, std::string name, std::map<std::
 WEFT_API Garment read_garment(const ConfigNode& node);
 
 /// Mean distance between corresponding vertices, mm: the paper's error measure (Fig. 3).
-/// @throws ShapeError when the shapes differ.
+/// @throws ShapeError if the numbers of vertices differ.
 WEFT_API double mean_distance_mm(const Positions& a, const Positions& b);
 
 }  // namespace weft

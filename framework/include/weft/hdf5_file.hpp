@@ -10,13 +10,13 @@
 
 namespace weft {
 
-/// An HDF5 file of plain arrays and texts. One object is used by one thread; the HDF5 library itself is locked inside.
+/// An HDF5 file of plain arrays and texts. Use one object on one thread; calls into the HDF5 library are locked.
 /// Paths are "/group/name"; groups are made as needed. @throws Error naming file and path.
 class WEFT_API Hdf5File {
  public:
-  /// A writer fills a temporary file beside `file`, which commit() renames: the file is whole or absent.
+  /// Writes a temporary file beside `file`; commit() renames it. So `file` is whole or absent.
   static Hdf5File create(const std::filesystem::path& file);
-  /// @throws ConfigError when it is no HDF5 file or is damaged.
+  /// @throws ConfigError if it is not an HDF5 file or is damaged.
   static Hdf5File open(const std::filesystem::path& file);
   Hdf5File(Hdf5File&&) noexcept;
   Hdf5File& operator=(Hdf5File&&) noexcept;
@@ -44,7 +44,7 @@ class WEFT_API Hdf5File {
   bool has(const std::string& path) const;
   std::vector<std::string> list(const std::string& group) const;  ///< names in a group, sorted
   std::vector<Index> shape(const std::string& path) const;
-  /// Converted from whatever number type is stored. Refuses arrays above `max_elements` before allocating.
+  /// Converts from the stored number type. Refuses arrays above `max_elements` before allocating.
   std::vector<double> read(const std::string& path, std::size_t max_elements = 1u << 30) const;
   std::vector<float> read_float(const std::string& path, std::size_t max_elements = 1u << 30) const;
   std::vector<std::int64_t> read_int(const std::string& path, std::size_t max_elements = 1u << 30) const;

@@ -13,7 +13,7 @@ namespace weft {
 
 enum class LogLevel { debug, info, warning, error };
 
-/// What a plugin gets from the program it lives in. Plugins never print; they log here.
+/// The program that loaded a plugin, as the plugin sees it. Plugins never print; they log here.
 class WEFT_API Host {
  public:
   virtual ~Host();
@@ -26,14 +26,14 @@ class WEFT_API Host {
     return {object, static_cast<Interface*>(object.get())};
   }
 
-  /// The nodes of a slot that name files: those that the plugin's parameters and the slots in them declare. For messages
-  /// about what is in the files. The default knows of none. @throws ConfigError, PluginError.
+  /// The nodes of a slot that name files, as declared by the plugin's parameters and by the slots in them. Messages
+  /// about the contents of a file point there. By default empty. @throws ConfigError, PluginError.
   virtual std::vector<ConfigNode> files(const std::string& kind, const ConfigNode& slot);
 
   virtual int threads() const = 0;  ///< worker threads, >= 1; part of the resolved config
-  /// Runs body(i) for i in [0, count), on up to threads() threads, and waits. The split depends on count and threads
-  /// only by scheduling: bodies must not depend on one another. The first exception (lowest i) is rethrown here. Calls
-  /// from inside a body run on the calling thread.
+  /// Runs body(i) for i in [0, count) on up to threads() threads, and waits. Which thread runs which i is not fixed, so
+  /// bodies must not depend on one another. The first exception (lowest i) is rethrown here. Calls from inside a body
+  /// run on the calling thread.
   virtual void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) = 0;
   /// True when the user asked to stop (SIGINT) or the time budget is spent; long loops check it and return early.
   virtual bool cancelled() const = 0;

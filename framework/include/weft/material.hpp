@@ -16,7 +16,7 @@ using PropertyVector = Eigen::Matrix<double, 4, 1, Eigen::DontAlign>;
 using MaterialProperties = PropertyVector;
 
 /// (c, w) of section 2.2: property p lies in [c - w/2, c + w/2] clipped to [0, 1].
-/// (Eq. 2 prints c +- w; eq. 3, Table 1 and Fig. 4 use c +- w/2, which is what holds here.)
+/// (Eq. 2 prints c +- w; eq. 3, Table 1 and Fig. 4 use c +- w/2, and so does weft.)
 struct MaterialKnowledge {
   PropertyVector centre = PropertyVector::Constant(0.5);
   PropertyVector width = PropertyVector::Constant(1.0);
@@ -56,8 +56,8 @@ struct Fabric {
   double damping_stretch_s = 0.0;  ///< stiffness-proportional
   double damping_bend_s = 0.0;     ///< stiffness-proportional
   double damping_air_per_s = 0.0;  ///< mass-proportional drag against still air
-  /// Set when the fabric came from an ARCSim/ARGUS file: then they replace the constants above (scaled by the
-  /// multipliers).
+  /// Set if the fabric came from an ARCSim/ARGUS file. The tables, times the multipliers, then replace the constants
+  /// above.
   std::shared_ptr<const MaterialTables> tables;
   double stretch_multiplier = 1.0;  ///< applies to the tables; the constants above are already multiplied
   double bend_multiplier = 1.0;     ///< likewise
@@ -66,14 +66,16 @@ struct Fabric {
   WEFT_API Fabric scaled(double stretch, double bend) const;
 };
 
-/// Reads `fabric:` of a scene or task: a mapping in SI units, the path of such a YAML file, or the path of an
-/// ARCSim/ARGUS material .json; or a mapping {file: PATH, stretch_multiplier, bend_multiplier, ...} whose other keys
-/// replace those of the file (of a .json: name, density, friction, self_friction, thickness and damping). Both kinds of
-/// file may hold the multipliers themselves; multipliers multiply. Left out: shear is the mean of warp and weft / 2 /
+/// Reads `fabric:` of a scene or task. It is one of
+///   - a mapping in SI units,
+///   - the path of a YAML file with such a mapping, or of an ARCSim/ARGUS material .json,
+///   - a mapping {file: PATH, stretch_multiplier, bend_multiplier, ...}. Its other keys replace those of the file (of a
+///     .json: name, density, friction, self_friction, thickness and damping).
+/// Files may hold multipliers too; the two are multiplied. Defaults: shear is the mean of warp and weft / 2 /
 /// (1 + poisson), bias the mean of warp and weft.
 /// @throws ConfigError with file and line.
 WEFT_API Fabric read_fabric(const ConfigNode& node);
-/// The fabric as a mapping that read_fabric reads back to the same bits.
+/// The fabric as a mapping. read_fabric reads the same bits from it.
 WEFT_API ConfigNode write_fabric(const Fabric& fabric);
 
 /// Maps the paper's normalised properties to SI: q = 0 is `low`, q = 1 is `high`, log or linear between.
@@ -85,7 +87,7 @@ struct PropertyRange {
   WEFT_API double inverse(double v) const;  ///< q for a value; may lie outside [0, 1]
 };
 
-/// The paper's material space (section 3): a nominal fabric, and what each property does to it.
+/// The paper's material space (section 3): a nominal fabric, and the range over which each property changes it.
 /// friction: ground friction mu (self friction keeps its ratio to it); bend, stretch: multipliers on the nominal
 /// stiffness; thickness: m.
 struct MaterialSpace {

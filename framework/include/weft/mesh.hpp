@@ -7,7 +7,7 @@
 
 namespace weft {
 
-/// A triangle mesh as an OBJ file holds it. `vt` are rest coordinates in metres, one per vertex.
+/// The triangle mesh of an OBJ file. `vt` are rest coordinates in metres, one per vertex.
 struct Mesh {
   Positions positions;  ///< [V, 3] m
   Faces faces;          ///< [F, 3]
@@ -18,7 +18,7 @@ struct Mesh {
 /// Reads triangles from a Wavefront OBJ. Several components are allowed.
 /// @throws ConfigError naming file, line and the face or vertex: quads, wrong indices, NaN, several vt for one vertex.
 WEFT_API Mesh read_obj(const std::filesystem::path& path);
-/// Writes v (at least 9 significant digits, exact when read back as double with `exact`), vt when present, f.
+/// Writes v, f, and vt if there is one. v has at least 9 significant digits; with `exact` it reads back exactly.
 WEFT_API void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact = false);
 
 /// Edges of the faces, each once, [E, 2] with first < second, sorted.

@@ -6,7 +6,7 @@
 
 namespace weft {
 
-/// What a plugin library says about itself. Plain data: the loader reads it before any C++ call crosses.
+/// Describes a plugin library. Plain data: the loader reads it before it makes any C++ call.
 extern "C" struct WeftPluginInfo {
   char magic[8];  ///< "weftplu"
   char abi_tag[96];
@@ -23,7 +23,7 @@ extern "C" struct WeftPluginInfo {
   "weft2 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI) " eigen" WEFT_STRINGIFY( \
       EIGEN_WORLD_VERSION) "." WEFT_STRINGIFY(EIGEN_MAJOR_VERSION) "." WEFT_STRINGIFY(EIGEN_MINOR_VERSION) " align" WEFT_STRINGIFY(EIGEN_MAX_ALIGN_BYTES)
 
-/// Writes `text` into a fixed char array of the info; too long does not compile.
+/// Copies `text` into a fixed char array of the info. Text that is too long does not compile.
 template <std::size_t N, std::size_t M>
 constexpr void copy_info_text(char (&to)[N], const char (&text)[M]) {
   static_assert(M <= N, "plugin info text too long");

@@ -13,14 +13,14 @@ namespace weft {
 
 class TrainablePredictor;
 
-/// One instance of a batch: where it starts, what is done, what is known, which shapes are wanted.
+/// One instance of a batch: start, controls, knowledge of the material, and the segments whose shapes are requested.
 struct PredictionCase {
   std::shared_ptr<const Positions> shape;     ///< [V, 3] m: s_i, the shape at the start; never null
   std::shared_ptr<const Positions> previous;  ///< [V, 3] m: one segment earlier, or null at the start of a session
   Vector state;                               ///< [S] control state at the start
   Controls controls;                          ///< [k, C]
   MaterialKnowledge knowledge;
-  std::vector<Index> segments;  ///< ascending, in [1, k]: shapes wanted after that many segments; may be empty
+  std::vector<Index> segments;  ///< ascending, in [1, k]: request the shapes after that many segments; may be empty
 };
 
 enum class Moments { mean, mean_and_sigma };
@@ -28,11 +28,11 @@ enum class Moments { mean, mean_and_sigma };
 struct PredictionRequest {
   Moments moments = Moments::mean_and_sigma;
   bool gradients = false;  ///< keep what pullback() needs
-  // Which inputs pullback() differentiates. Controls and knowledge that were not asked for come back as zeros: matters
-  // to predictors whose gradients cost one simulation per input.
+  // The inputs that pullback() differentiates. If false, their gradients are zero. This saves time in predictors whose
+  // gradients cost one simulation per input.
   bool control_gradients = true;
   bool knowledge_gradients = true;
-  // By capability; empty unless asked for. Planning and estimation do not ask.
+  // Need a capability. If false, the gradient is empty. Planning and estimation leave them false.
   bool state_gradients = false;
   bool shape_gradients = false;
 };
@@ -40,7 +40,7 @@ struct PredictionRequest {
 /// s-hat: independent normal distribution per vertex and axis (section 2.3). sigma is a standard deviation.
 struct ShapeDistribution {
   Positions mean;   ///< [V, 3] m
-  Positions sigma;  ///< [V, 3] m, > 0; [0, 3] when only the mean was asked for
+  Positions sigma;  ///< [V, 3] m, > 0; [0, 3] if only the mean was requested
 };
 
 /// dL/d(mean, sigma) of one shape; an array with 0 rows stands for zero.
@@ -65,35 +65,35 @@ struct CaseDirection {
   PropertyVector width = PropertyVector::Zero();
 };
 
-/// Result of one batched prediction, with what is needed to differentiate it. Owns everything: several are alive at
-/// once.
+/// Result of one batched prediction, with the data needed to differentiate it. Owns all of it: several predictions can
+/// be alive at once.
 class WEFT_API Prediction {
  public:
   virtual ~Prediction() = default;
-  /// [cases][case.segments]: in the order asked for.
+  /// [cases][case.segments], in the order of case.segments.
   virtual const std::vector<std::vector<ShapeDistribution>>& shapes() const = 0;
-  /// Empty, or why case i has no result (its simulation diverged). Its shapes are empty then.
+  /// Why case i has no result (such as: its simulation diverged), or empty. A failed case has no shapes.
   virtual const std::string& failure(std::size_t i) const = 0;
   /// Gradient of a loss L on the shapes: cotangents [cases][case.segments]. @return [cases].
-  /// @throws Unsupported unless the prediction was made with `gradients`; the default always.
+  /// @throws Unsupported unless the prediction was made with `gradients`. The default always throws.
   virtual std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const;
   /// Directional derivatives: [cases][directions of that case][case.segments].
-  /// @throws Unsupported as pullback(), and without the capability jvp; the default always.
+  /// @throws Unsupported as pullback(), and without the capability jvp. The default always throws.
   virtual std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
       const std::vector<std::vector<CaseDirection>>& directions) const;
 };
 
-/// Shapes and failures in two vectors, and no derivatives: all that a predictor without gradients returns. One with
-/// gradients derives from it and overrides pullback(), and jvp() by capability.
+/// Shapes and failures in two vectors, without derivatives. Predictors without gradients return this class. Predictors
+/// with gradients derive from it and override pullback(), and jvp() if they declare it.
 class WEFT_API PlainPrediction : public Prediction {
  public:
-  /// @param shapes [cases][case.segments]; @param failures [cases], or left out when no case failed.
+  /// @param shapes [cases][case.segments]; @param failures [cases], or empty if no case failed.
   explicit PlainPrediction(std::vector<std::vector<ShapeDistribution>> shapes, std::vector<std::string> failures = {});
   const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return shapes_; }
   const std::string& failure(std::size_t i) const override { return failures_.at(i); }
 
  protected:
-  /// For a derived class that fills in the vectors: no shapes yet, no failures.
+  /// Starts without shapes and failures; the derived class fills them in.
   explicit PlainPrediction(std::size_t cases) : shapes_(cases), failures_(cases) {}
   std::vector<std::vector<ShapeDistribution>> shapes_;  // [cases][case.segments]
   std::vector<std::string> failures_;                   // [cases]
@@ -101,10 +101,10 @@ class WEFT_API PlainPrediction : public Prediction {
 
 struct PredictorCapabilities {
   bool gradients = false;        ///< pullback with respect to controls and knowledge
-  bool state_gradients = false;  ///< ... and, when asked for, control state
-  bool shape_gradients = false;  ///< ... and, when asked for, start shape
+  bool state_gradients = false;  ///< ... and, if requested, control state
+  bool shape_gradients = false;  ///< ... and, if requested, start shape
   bool jvp = false;
-  bool deterministic = true;  ///< same input, same bits, whatever else is in the batch
+  bool deterministic = true;  ///< the same case gives the same bits in every batch
   bool needs_binding = true;  ///< bind() must come before predict()
 };
 
@@ -116,28 +116,28 @@ class WEFT_API Predictor {
   virtual ~Predictor() = default;
 
   virtual PredictorCapabilities capabilities() const = 0;
-  /// Called once, before any predict(). @throws ConfigError if it was trained for another garment, trajectory or
-  /// manipulation than the task's.
+  /// Called once, before any predict().
+  /// @throws ConfigError if the predictor was trained for another garment, trajectory or manipulation than the task's.
   virtual void bind(const Task& task) = 0;
-  /// @throws what check_cases() throws. A case that fails numerically is recorded as failed.
+  /// A case that fails numerically is recorded as failed. @throws what check_cases() throws.
   virtual std::unique_ptr<Prediction> predict(const std::vector<PredictionCase>& cases,
                                               const PredictionRequest& request) const = 0;
-  /// Range of the controls that it is good for (a trained model: of those it has seen), [C] each; plans stay inside.
-  /// After bind(). nullopt: as far as the trajectory goes.
+  /// Bounds [C] of the controls that this predictor handles: for a trained model, of those in its training set. Plans
+  /// stay inside. nullopt: the trajectory's bounds. Call after bind().
   virtual std::optional<Box> control_range() const { return std::nullopt; }
-  /// This predictor's learning side (trainable.hpp), or null when it does not learn.
+  /// The training interface of this predictor (trainable.hpp), or null if it does not learn.
   virtual TrainablePredictor* trainable() { return nullptr; }
-  /// Most segments, >= 1, that the controls of a case may have; predict() refuses more. Plans and the
-  /// histories that estimates are made from are no longer than that. After bind(). nullopt: no limit.
+  /// The largest number of segments, >= 1, in the controls of a case; predict() refuses more. It limits plans, and the
+  /// histories that estimates use. nullopt: no limit. Call after bind().
   virtual std::optional<Index> max_segments() const { return std::nullopt; }
 };
 
-/// What every predictor demands of its input; predict() calls it first. `who` starts the messages.
-/// @param task the one that was bound; without a garment or a trajectory: not bound yet.
-/// @param max_segments of the predictor.
-/// @throws Error before bind(), and for a shape, previous shape, state, control or knowledge that is not finite;
-/// ShapeError for a case without a shape, for sizes other than the task's, for more than `max_segments` rows of
-/// controls, and for segments that do not ascend within [1, k].
+/// Checks of the input that every predict() makes first. Messages start with `who`.
+/// @param task the bound task; one without garment or trajectory counts as not bound.
+/// @param max_segments Predictor::max_segments().
+/// @throws Error before bind(), and for a non-finite shape, previous shape, state, control or knowledge.
+/// @throws ShapeError for a case without a shape, sizes that differ from the task's, more than `max_segments` rows of
+/// controls, or segments that do not ascend within [1, k].
 WEFT_API void check_cases(const std::string& who, const Task& task, const std::vector<PredictionCase>& cases,
                           std::optional<Index> max_segments = std::nullopt);
 

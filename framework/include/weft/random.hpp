@@ -6,8 +6,8 @@
 
 namespace weft {
 
-/// Key of a random stream, from a word of at most eight ASCII letters: its bytes, the first one highest.
-/// stream_key("goal") == 0x676f616c. Each purpose draws from a stream of its own.
+/// Key of a random stream: the bytes of a word of at most eight ASCII letters, the first one highest.
+/// stream_key("goal") == 0x676f616c. Every purpose has its own stream.
 consteval std::uint64_t stream_key(std::string_view word) {
   if (word.empty() || word.size() > 8) throw "a stream's word has 1 to 8 letters";
   std::uint64_t key = 0;
@@ -15,12 +15,12 @@ consteval std::uint64_t stream_key(std::string_view word) {
   return key;
 }
 
-/// Counter-based random numbers (Philox 4x32-10, Salmon et al. 2011): the stream is a pure function of (seed, keys), so
-/// example 17 draws the same numbers whatever ran before it and on whichever thread. Cheap to make and to copy.
+/// Counter-based random numbers (Philox 4x32-10, Salmon et al. 2011). The stream is a pure function of (seed, keys).
+/// So example 17 draws the same numbers in any order of examples and on any thread. Cheap to make and to copy.
 class WEFT_API RandomStream {
  public:
   explicit RandomStream(std::uint64_t seed, std::uint64_t key_a = 0, std::uint64_t key_b = 0);
-  /// An independent stream below this one.
+  /// An independent stream, fixed by this one's keys and `key`.
   RandomStream child(std::uint64_t key) const;
   std::uint32_t bits();
   std::uint64_t bits64();

@@ -15,15 +15,15 @@
 
 namespace weft {
 
-/// The world around the cloth. The same for every plugin.
+/// The world around the cloth.
 struct Scene {
   Vec3 gravity{0.0, 0.0, -9.81};              ///< m/s^2
   std::optional<double> ground_height = 0.0;  ///< m; nullopt: no ground
-  std::vector<Index> pins;                    ///< vertices held where they are for the whole run
+  std::vector<Index> pins;                    ///< vertices that stay fixed for the whole run
   Vec3 initial_velocity = Vec3::Zero();       ///< m/s, of every vertex that is not pinned
 };
 
-/// When the cloth counts as settled: the largest vertex speed stays below `speed` for `hold_frames` frames in a row.
+/// The cloth is settled once the largest vertex speed has stayed below `speed` for `hold_frames` frames in a row.
 struct SettleCriterion {
   double speed = 0.005;  ///< m/s
   Index hold_frames = 6;
@@ -32,27 +32,27 @@ struct SettleCriterion {
 struct SettleResult {
   Index frames = 0;        ///< simulated
   double max_speed = 0.0;  ///< m/s, at the end
-  bool settled = false;    ///< false: max_frames came first
+  bool settled = false;    ///< false: max_frames was reached first
 };
 
 /// Measurements on the current state, for results and tests.
 struct SimulatorDiagnostics {
   double max_speed = 0.0;   ///< m/s
   double max_strain = 0.0;  ///< largest |principal in-plane strain| over all faces
-  double max_grasp_strain =
-      0.0;              ///< largest over the faces at a held vertex since reset(); restore() brings back the snapshot's
+  /// The same, over the faces at a held vertex and over all frames since reset(). restore() restores it.
+  double max_grasp_strain = 0.0;
   Index contacts = 0;   ///< active self-contacts in the last step
-  std::string warning;  ///< empty, or what the user should know (a grasp that overstretches the cloth)
+  std::string warning;  ///< for the user, such as: a grasp overstretches the cloth; empty: none
 };
 
-/// Opaque copy of a simulator's whole state; only the plugin that made it reads it. Immutable, shareable.
+/// Opaque copy of a simulator's whole state. Only the plugin that made it can read it. Immutable, shareable.
 class WEFT_API SimulatorSnapshot {
  public:
   virtual ~SimulatorSnapshot() = default;
 };
 
-/// What a simulator can do. reset() refuses with ConfigError a scene or fabric that needs `pins`, `orthotropic` or
-/// `gravity_any_direction` where they are not declared (check_reset() does that); so every command says the same.
+/// What a simulator can do. check_reset() refuses a scene or fabric that needs `pins`, `orthotropic` or
+/// `gravity_any_direction` if the simulator does not declare it. So every command reports this in the same words.
 struct SimulatorCapabilities {
   bool snapshots = false;        ///< save() / restore()
   bool self_contact = false;     ///< layers keep `thickness_m` apart
@@ -62,9 +62,9 @@ struct SimulatorCapabilities {
   bool gravity_any_direction = true;
 };
 
-/// One piece of cloth, simulated. Call order: reset, then any of the others. One object is used by one thread at a
-/// time; many objects run in parallel and do not affect one another: same calls, same bits. Non-finite state never
-/// leaves: step() and settle() throw Diverged naming the frame, and the object must be reset.
+/// Simulates one piece of cloth. Call order: reset, then any of the others. One thread at a time uses an object. Many
+/// objects run in parallel and do not affect one another: the same calls give the same bits. Callers never see a
+/// non-finite state: step() and settle() throw Diverged with the frame, and the object must be reset.
 class WEFT_API Simulator {
  public:
   static constexpr const char* kKind = "simulator";
@@ -74,30 +74,30 @@ class WEFT_API Simulator {
   virtual SimulatorCapabilities capabilities() const = 0;
 
   /// Puts the garment's initial positions into the scene, at scene.initial_velocity, nothing grasped, frame 0.
-  /// Vertices below contact height (ground + thickness) are lifted to it, pinned ones are not.
+  /// Vertices below contact height (ground + thickness) are lifted to it, except pinned ones.
   /// @throws ConfigError for a fabric or scene that the plugin cannot honour.
   virtual void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) = 0;
 
-  /// Replaces the state by an observed one; `grasped` replaces what is held. History (contact warm starts) is dropped.
+  /// Replaces the state by an observed one, and the held vertices by `grasped`. Drops history (contact warm starts).
   /// @param positions, velocities [V, 3] m, m/s. @throws ShapeError, Error if not finite.
   virtual void set_state(const Positions& positions, const Positions& velocities, std::span<const Index> grasped) = 0;
 
-  /// Takes hold of more vertices; they stay where they are until the next step(). A held vertex follows its target
-  /// exactly.
+  /// Grasps more vertices. They stay in place until the next step(). A held vertex follows its target exactly.
   /// @throws ShapeError for an index out of range, pinned, or already held.
   virtual void grasp(std::span<const Index> vertices) = 0;
-  /// Held vertices, in the order in which step() takes their targets.
+  /// Held vertices, in the order of step()'s targets.
   virtual std::vector<Index> grasped() const = 0;
 
-  /// Advances one frame (kFrameSeconds). Held vertices move in a straight line from where they are to their targets.
+  /// Advances one frame (kFrameSeconds). Held vertices move in a straight line to their targets.
   /// @param grasp_targets [grasped().size(), 3] m. @throws ShapeError, Error if not finite, Diverged.
   virtual void step(const Positions& grasp_targets) = 0;
 
-  /// Lets go of the given vertices, or of all of them. Leaves no kick: a released vertex starts at rest.
+  /// Releases the given vertices, or all. A released vertex starts at rest, so that it gets no kick.
   virtual void release(std::span<const Index> vertices) = 0;
   virtual void release() = 0;
 
-  /// Steps, what is held kept still, until the criterion is met. Calls of one frame each give the bits of one call.
+  /// Steps until the criterion is met; held vertices stay still. Several calls of one frame each give the bits of one
+  /// call.
   virtual SettleResult settle(const SettleCriterion& criterion) = 0;
 
   virtual const Positions& positions() const = 0;   ///< [V, 3] m
@@ -105,33 +105,33 @@ class WEFT_API Simulator {
   virtual Index frame() const = 0;                  ///< frames since reset
   virtual SimulatorDiagnostics diagnostics() const = 0;
 
-  /// Capability `snapshots`: a run continued from a restored snapshot is equal bit for bit, also in another object that
-  /// was reset with the same garment, fabric and scene.
+  /// Capability `snapshots`. A run that continues from a restored snapshot is equal bit for bit to the original run,
+  /// also in another object that was reset with the same garment, fabric and scene.
   /// @throws Unsupported (the default), Error if the snapshot is another plugin's or garment's.
   WEFT_API virtual std::shared_ptr<const SimulatorSnapshot> save() const;
   WEFT_API virtual void restore(const SimulatorSnapshot& snapshot);
 };
 
-/// What every simulator of cloth refuses in reset(): a garment without faces; moduli, friction, thickness and damping
-/// that are not finite or out of range; a scene that is not finite; pins that are no vertices of the garment. Also a
-/// fabric or scene that needs an ability which is not declared (SimulatorCapabilities). With self_contact the thickness
-/// must be above 0.
-/// @param plugin name that messages begin with.
+/// The checks that every simulator of cloth makes in reset(). It refuses a garment without faces; moduli, friction,
+/// thickness and damping that are not finite or out of range; a scene that is not finite; pins that are no vertices of
+/// the garment; a fabric or scene that needs an ability which `capabilities` does not declare. With self_contact the
+/// thickness must be above 0.
+/// @param plugin the plugin's name; messages start with it.
 /// @throws ConfigError naming the key, its value and what it must be.
 WEFT_API void check_reset(const std::string& plugin, const Garment* garment, const Fabric& fabric, const Scene& scene,
                           const SimulatorCapabilities& capabilities);
 
 /// Bookkeeping that all simulators share: held and pinned vertices, the checks of every call, contact height at reset,
 /// settling, the frame counter, strain at the grasps, divergence and snapshots. A simulator derives from it and writes
-/// its physics: start() and advance_frame(), and capabilities(). The other protected functions are for simulators that
-/// keep the state in arrays of their own.
+/// capabilities(), start() and advance_frame(). The other protected functions are for simulators that keep a copy of
+/// the state elsewhere.
 ///
-/// A pinned vertex has zero velocity. So has a held one until the next frame, which leaves it with its hand's velocity.
+/// A pinned vertex has zero velocity. A held vertex has zero velocity until the next frame, and then its hand's.
 class WEFT_API SimulatorBase : public Simulator {
  public:
   struct Options {
-    double settle_drag_per_s = 0.0;  ///< 1/s, drag that settle() adds to the fabric's
-    /// In-plane strain at a held vertex above which diagnostics() warns; infinity: never.
+    double settle_drag_per_s = 0.0;  ///< 1/s; settle() adds it to the fabric's drag
+    /// diagnostics() warns above this in-plane strain at a held vertex; infinity: never.
     double grasp_strain_warning = std::numeric_limits<double>::infinity();
   };
 
@@ -151,35 +151,36 @@ class WEFT_API SimulatorBase : public Simulator {
   void restore(const SimulatorSnapshot& snapshot) override;
 
  protected:
-  /// @param name what messages begin with: the plugin's name.
+  /// @param name the plugin's name; messages start with it.
   explicit SimulatorBase(std::string name) : SimulatorBase(std::move(name), Options()) {}
   SimulatorBase(std::string name, const Options& options);
 
-  /// Called by reset() once garment(), fabric(), scene(), positions() and velocities() are those of the new run: makes
-  /// what depends on them. @throws ConfigError for what this simulator cannot honour; then it must be reset again.
+  /// Called at the end of reset(): garment(), fabric(), scene(), positions() and velocities() are those of the new run.
+  /// Sets up everything that depends on them.
+  /// @throws ConfigError for what this simulator cannot honour; it must then be reset again.
   virtual void start() = 0;
 
   /// Advances one frame (kFrameSeconds). Held vertices move in a straight line to their targets and end there.
   /// @param targets [held().size(), 3] m, finite, in the order of held().
-  /// @param drag 1/s: of the air (Fabric::damping_air_per_s), and what settle() adds.
+  /// @param drag 1/s: the air's (Fabric::damping_air_per_s), plus settle()'s.
   /// @param x, v [V, 3] m, m/s. In: the state before the frame. Out: after it. Non-finite numbers end the run as
-  ///   diverged; positions() and velocities() then stay those before the frame.
-  /// @throws Diverged with the reason; plugin and frame are added to it.
+  ///   diverged; positions() and velocities() then keep their values from before the frame.
+  /// @throws Diverged with the reason. The base adds plugin and frame to the message.
   virtual void advance_frame(const Positions& targets, double drag, Positions& x, Positions& v) = 0;
 
-  /// A vertex was taken (`held`) or let go. Its velocity is zero.
+  /// A vertex was grasped (`held`) or released. Its velocity is zero.
   virtual void hold_changed(Index /*vertex*/, bool /*held*/) {}
-  /// positions(), velocities() and held() were replaced, by set_state() or restore(). History must be dropped.
+  /// set_state() or restore() replaced positions(), velocities() and held(). Drop all history here.
   virtual void state_changed() {}
 
   /// Largest |principal stretch - 1| of a face at positions().
   virtual double face_strain(Index face) const;
-  /// Adds to the diagnostics what the base does not know: contacts, warnings.
+  /// Adds contacts and warnings, which the base cannot know, to the diagnostics.
   virtual void add_diagnostics(SimulatorDiagnostics& /*diagnostics*/) const {}
 
   /// What a snapshot must keep besides positions, velocities and held vertices, such as contact warm starts.
   virtual std::any save_history() const { return {}; }
-  /// Takes back what save_history() gave; positions(), velocities() and held() are the snapshot's already.
+  /// Restores the result of save_history(); positions(), velocities() and held() are already restored.
   virtual void restore_history(const std::any& /*history*/) { state_changed(); }
 
   const Garment& garment() const { return *garment_; }

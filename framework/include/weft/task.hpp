@@ -10,7 +10,7 @@
 
 namespace weft {
 
-/// What is fixed for a manipulation session and known to every predictor.
+/// All that is fixed during a manipulation session. Every predictor knows it.
 struct Task {
   std::shared_ptr<const Garment> garment;
   MaterialSpace material;

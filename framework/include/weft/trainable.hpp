@@ -12,8 +12,8 @@ namespace weft {
 
 struct FitOptions {
   std::uint64_t seed = 0;
-  std::filesystem::path model;       ///< where the best model so far is kept; always whole
-  std::filesystem::path checkpoint;  ///< state for resuming: read when it exists, written now and then; empty: none
+  std::filesystem::path model;       ///< file of the best model so far; whole or absent
+  std::filesystem::path checkpoint;  ///< state for resuming: read if it exists, rewritten regularly; empty: none
   std::string provenance;            ///< version, commit and plugins, JSON; recorded in the model
 };
 
@@ -26,60 +26,60 @@ struct FitProgress {
   double validation_loss = 0.0, best_loss = 0.0;
   double validation_error_mm = 0.0;  ///< mean vertex error at the end of the validation sequences
 };
-/// @return false to stop; the checkpoint is written then.
+/// @return false to stop. The fit then writes its checkpoint.
 using FitObserver = std::function<bool(const FitProgress&)>;
 
 struct FitReport {
   std::int64_t iterations = 0;
-  bool finished = false;  ///< false: stopped by the observer or the host; the same call goes on
+  bool finished = false;  ///< false: the observer or the host stopped it; the same call resumes
   bool resumed = false;
-  double seconds = 0.0;  ///< over all processes that took part
+  double seconds = 0.0;  ///< sum over the processes of a resumed fit
   double best_loss = 0.0;
   std::string json;  ///< training.json: settings, curves, what stopped it
 };
 
 struct CalibrationOptions {
   std::uint64_t seed = 0;
-  std::filesystem::path model;  ///< where the model is written with its new calibration; whole or absent
+  std::filesystem::path model;  ///< file for the calibrated model; whole or absent
 };
 
-/// What was found for predictions of one kind: sigma' = factor sqrt(sigma^2 + added^2), by the number of segments.
+/// The calibration of one kind of prediction: sigma' = factor sqrt(sigma^2 + added^2), per number of segments.
 struct CalibrationRow {
-  bool from_start = true;  ///< from the start of a session, or from within one
-  bool is_known = true;    ///< material known exactly, or not at all
+  bool from_start = true;  ///< predictions from the start of a session; false: from later in it
+  bool is_known = true;    ///< material known exactly; false: not at all
   std::int64_t predictions = 0;
-  std::vector<std::int64_t> shapes;     ///< [segments] shapes of the first dataset that were compared
+  std::vector<std::int64_t> shapes;     ///< [segments] number of compared shapes from the first dataset
   std::vector<double> factor, added_m;  ///< [segments]; m
 };
 
 struct CalibrationReport {
   std::int64_t examples = 0;
   std::vector<CalibrationRow> rows;
-  std::string json;  ///< what else the predictor has to say of it, a JSON object; empty: nothing
+  std::string json;  ///< further results as a JSON object, or empty
 };
 
-/// A predictor that learns from examples. Reached through Predictor::trainable(): RTTI does not reach across plugins.
+/// A predictor that learns from examples. Predictor::trainable() returns it, since RTTI fails across plugins.
 class WEFT_API TrainablePredictor {
  public:
   virtual ~TrainablePredictor() = default;
-  /// Fits the predictor to the train split, steered by the validation split; afterwards it holds the best model.
-  /// A fit that was killed goes on from its checkpoint, and without a time limit ends with the same bits.
-  /// @throws ConfigError when data and task do not fit, or a checkpoint belongs to another fit; Unsupported.
+  /// Fits the predictor to the train split. Afterwards it holds the model with the lowest loss on the validation split.
+  /// A killed fit resumes from its checkpoint. Without a time limit it ends with the same bits.
+  /// @throws ConfigError if data and task do not match, or a checkpoint belongs to another fit; Unsupported.
   virtual FitReport fit(const Dataset& dataset, const Task& task, const FitOptions& options,
                         const FitObserver& observer) = 0;
   virtual void save(const std::filesystem::path& file) const = 0;
   /// @throws ConfigError for a damaged file.
   virtual void load(const std::filesystem::path& file) = 0;
-  /// The datasets that the model it holds was fitted to; empty when there is none, or it does not say.
+  /// The datasets that the current model was fitted to; empty if there is no model or its file does not list them.
   virtual std::vector<DatasetOrigin> trained_on() const { return {}; }
-  /// Finds anew how wide the sigma of the model that it holds must be, on these examples alone; the means that it
-  /// predicts stay. What is found is to hold for the first of the datasets; the others help out where it has too few
-  /// shapes. Writes the model to options.model and holds it afterwards.
-  /// @param examples positions in dataset.examples, ascending; as of Dataset::unseen(trained_on()).
-  /// @throws ConfigError when this predictor cannot do that, holds no model, or data and task do not fit; Unsupported.
+  /// Refits sigma on these examples. The means do not change. The calibration is for the first dataset; the others fill
+  /// in where it has too few shapes. Writes the calibrated model to options.model and keeps it as the current one.
+  /// @param examples positions in dataset.examples, ascending, such as those the model was not trained on.
+  /// @throws ConfigError if this predictor cannot be calibrated or holds no model, or if data and task do not match;
+  /// Unsupported.
   virtual CalibrationReport calibrate(const Dataset& dataset, const std::vector<std::size_t>& examples,
                                       const Task& task, const CalibrationOptions& options);
-  /// The datasets of the last calibrate() of the model it holds; empty when its calibration is the fit's own.
+  /// The datasets of the current model's last calibrate(); empty if it still has the calibration of fit().
   virtual std::vector<DatasetOrigin> calibrated_on() const { return {}; }
 };
 

@@ -26,11 +26,11 @@ struct SegmentPath {
 
 /// Maps controls to gripper paths (section 2.1). Stateless and immutable: safe to call from many threads.
 ///
-/// A control row [C] holds per-frame deltas that are constant within a segment. The control state [S] accumulates them;
-/// grasp targets are a function of the state alone. An optimiser searches over a decision vector x [D], which `decode`
-/// maps to controls [k, C].
+/// A control row [C] holds per-frame deltas that are constant within a segment. The control state [S] accumulates them.
+/// Grasp targets are a function of the state alone. An optimiser searches over a decision vector x [D]; decode() maps
+/// it to controls [k, C].
 ///
-/// Seven functions must be written. The defaults of the others are for a trajectory whose state is the sum of its
+/// Seven functions are pure virtual. The defaults of the others are for a trajectory whose state is the sum of its
 /// controls (S = C) and whose x is the controls, row by row.
 class WEFT_API Trajectory {
  public:
@@ -50,8 +50,8 @@ class WEFT_API Trajectory {
   /// @param d_targets [G, 3]: dL/d targets(...). @return dL/d state [S].
   virtual Vector targets_pullback(const Manipulation& manipulation, ConstVec state,
                                   const Positions& d_targets) const = 0;
-  /// Progress towards release: 0 at the start, >= 1 once the cloth is to be released at the end of the segment (eq. 5;
-  /// for the arc theta / 180 deg).
+  /// Progress towards release (eq. 5): 0 at the start. At >= 1 the cloth is released at the end of the segment. For the
+  /// arc it is theta / 180 deg.
   virtual double progress(ConstVec state) const = 0;
   bool released(ConstVec state) const { return progress(state) >= 1.0; }
 
@@ -69,14 +69,14 @@ class WEFT_API Trajectory {
   virtual Controls decode(ConstVec x, Index horizon, ConstVec state) const;  ///< @return [horizon, C]
   /// dL/dx from dL/d controls [horizon, C].
   virtual Vector decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const;
-  /// The x whose decoded controls are nearest (least squares) to the given ones; exact where decode is one-to-one.
+  /// The x whose decoded controls are nearest (least squares) to the given ones; exact if decode() is one-to-one.
   virtual Vector encode(const Controls& controls, ConstVec state) const;
-  /// Bounds and scales of x, [D]. By default those of the controls, repeated: right for every x whose entry i stands for
-  /// control i modulo C, whatever decision_size() is.
+  /// Bounds and scales of x, [D]. By default those of the controls, repeated. That is right for any decision_size() if
+  /// entry i of x stands for control i modulo C.
   virtual Box decision_bounds(Index horizon) const;
   virtual Vector decision_scale(Index horizon) const;  ///< > 0, as Variable::scale
 
-  // What follows is the same for every trajectory.
+  // The functions below are the same for every trajectory.
   /// The default trajectory (section 4): the default control on every segment.
   Controls default_controls(Index horizon) const;
   SegmentPath segment(const Manipulation& manipulation, ConstVec state, ConstVec control) const;
@@ -89,8 +89,8 @@ class WEFT_API Trajectory {
   using AddStateGradient = std::function<void(Index j, Vector& d_state)>;
   /// The chain rule through all frames of segment_states(), backwards.
   /// @param state [S] at the start; @param controls [k, C].
-  /// @param add is called for j = k - 1 ... 0. `d_state` holds then what the later segments contribute, and row j + 1 of
-  /// d_controls what its segment contributes.
+  /// @param add is called for j = k - 1 ... 0. By then `d_state` holds the contribution of the later segments, and row
+  /// j + 1 of d_controls that of its segment.
   /// @param d_controls [k or more, C]: dL/d controls through the states is added to its first k rows.
   /// @return dL/d state [S] at the start, through the states after the segments.
   /// @throws ShapeError.
@@ -98,12 +98,11 @@ class WEFT_API Trajectory {
                          const AddStateGradient& add, Controls& d_controls) const;
 };
 
-/// What most trajectories demand of a manipulation; `who` starts the messages.
-/// @throws ShapeError unless it has hands() grasp points; ConfigError for grasp points or a displacement that is not
-/// finite.
+/// The checks that most trajectories make of a manipulation. Messages start with `who`.
+/// @throws ShapeError unless it has hands() grasp points; ConfigError for non-finite grasp points or displacement.
 WEFT_API void check_manipulation(const std::string& who, const Trajectory& trajectory,
                                  const Manipulation& manipulation);
-/// @throws ShapeError unless `state` is [S]; `who` starts the message.
+/// @throws ShapeError unless `state` is [S]. The message starts with `who`.
 WEFT_API void check_state(const std::string& who, const Trajectory& trajectory, ConstVec state);
 
 }  // namespace weft

@@ -21,9 +21,9 @@ using Positions = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 using RestPositions = Eigen::Matrix<double, Eigen::Dynamic, 2, Eigen::RowMajor>;
 /// [f, 3] vertex indices, counter-clockwise seen from above in the rest shape.
 using Faces = Eigen::Matrix<int, Eigen::Dynamic, 3, Eigen::RowMajor>;
-/// Row-major, such as one row per segment or per frame.
+/// Row-major: one row per segment, per frame, ...
 using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-/// m_i of eq. 1: [k, C], one row per segment. For the arc C = 5 per-FRAME deltas, constant within a segment.
+/// m_i of eq. 1: [k, C], one row per segment. The arc has C = 5 per-frame deltas, constant within a segment.
 using Controls = RowMatrix;
 
 /// Length of a simulation frame, s.
@@ -39,13 +39,13 @@ struct Box {
   Vector clamp(ConstVec x) const { return x.cwiseMax(lower).cwiseMin(upper); }
 };
 
-/// What is given and fixed per manipulation (section 2.1): the paper's g_0, d and h.
+/// The fixed inputs of a manipulation (section 2.1): the paper's g_0, d and h.
 struct Manipulation {
   std::vector<Index> grasp_vertices;  ///< vertices held by hand 1 and hand 2
   Positions grasp_points;             ///< [2, 3] m: g_0^1, g_0^2
   Vec2 displacement = Vec2::Zero();   ///< d, m, XY: displacement of the grasp points' midpoint
   double drop_height = 0.05;          ///< h, m: height of the grasp points at theta = 180 deg
-  double contact_height = 0.0;        ///< m: the targets never go below it (mid-surface resting on the ground)
+  double contact_height = 0.0;        ///< m: the targets stay above it (mid-surface resting on the ground)
 };
 
 }  // namespace weft

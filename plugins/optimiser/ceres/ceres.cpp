@@ -69,8 +69,8 @@ int to_int(Index n) { return static_cast<int>(std::min<Index>(n, std::numeric_li
   o.function_tolerance = p.function_tolerance;
   o.gradient_tolerance = p.gradient_tolerance;
   o.parameter_tolerance = p.parameter_tolerance;
-  // Steps are projected into the box; the line search that Ceres makes along each of them in the presence of bounds
-  // would ask for a Jacobian at every trial.
+  // Steps are projected into the box. With bounds Ceres would also search along each step, and that search would ask
+  // for a Jacobian at every trial.
   o.max_num_line_search_step_size_iterations = 0;
   o.num_threads = 1;  // evaluations stay on the instance's own thread
   o.logging_type = ::ceres::SILENT;
@@ -84,8 +84,8 @@ struct FreeVariables {
     for (Index i = 0; i < box.dim(); ++i)
       if (box.lower[i] < box.upper[i]) index.push_back(i);
   }
-  Index size() const { return static_cast<Index>(index.size()); }
-  Index operator[](Index k) const { return index[static_cast<std::size_t>(k)]; }
+  Index size() const { return index.size(); }
+  Index operator[](Index k) const { return index[k]; }
   std::vector<Index> index;
 };
 
@@ -110,7 +110,8 @@ class LineSearchFunction final : public ::ceres::FirstOrderFunction {
   const Vector& start() const { return z_; }
   bool start_was_moved() const { return moved_; }
 
-  /// Divides the cost so that the largest gradient entry at the start becomes initial_step. False: no value there.
+  /// Divides the cost so that the largest gradient entry at the start becomes initial_step. @return false without a
+  /// value.
   bool normalise(double initial_step) {
     Vector gradient(z_.size());
     double cost = 0.0;
@@ -170,8 +171,8 @@ class Residuals final : public ::ceres::CostFunction {
     const double* y = parameters[0];
     for (Index k = 0; k < variables_.size(); ++k) x_[variables_[k]] = y[k] * scale_[variables_[k]];
     const bool asks_jacobian = jacobians != nullptr && jacobians[0] != nullptr;
-    // Ceres asks for the Jacobian at the start and within every iteration that went downhill, before it counts that
-    // iteration: the last one is for nothing, and costs as much as all of a search with the simulator as predictor.
+    // Ceres asks for the Jacobian at the start and within every iteration that goes downhill, before it counts that
+    // iteration. Nothing uses the last one, and with the simulator as predictor it costs as much as a whole search.
     const bool is_last = asks_jacobian && iterations_left_ <= (has_started_ ? 1 : 0);
     const bool wants_jacobian = asks_jacobian && !is_last;
     has_started_ = has_started_ || asks_jacobian;
@@ -226,8 +227,8 @@ SolverOutcome outcome(const PointwiseSearch& search, ::ceres::TerminationType ty
     default:
       break;
   }
-  // Ceres' failures: no step brings an improvement, which is how a search ends at a minimum that its tolerances are too
-  // fine for; or there is no finite value to be had any more.
+  // Ceres fails when no step improves the cost, which is how a search ends at a minimum if its tolerances are too fine.
+  // It also fails when it finds no more finite values.
   return {search.last_was_finite() ? OptimiserStatus::converged : OptimiserStatus::diverged, message};
 }
 
@@ -235,7 +236,7 @@ SolverOutcome outcome(const PointwiseSearch& search, ::ceres::TerminationType ty
 
 Ceres::Ceres(const Params& params)
     : p_(params), least_squares_(params.method == "levenberg_marquardt" || params.method == "dogleg") {
-  // Ceres logs some of its troubles whatever its options say; they come back in OptimiserResult::message.
+  // Ceres logs some problems even with its logging off. OptimiserResult::message reports them.
   static std::once_flag once;
   std::call_once(once, [] { FLAGS_minloglevel = google::GLOG_FATAL; });
   std::string error;

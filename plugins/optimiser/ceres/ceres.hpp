@@ -7,7 +7,7 @@
 
 namespace weft::ceres_solver {
 
-/// Names and defaults are Ceres', but for what README.md gives a reason for.
+/// Names and defaults are those of Ceres; README.md gives the reason for each exception.
 struct Params {
   std::string method = "lbfgs";
   double function_tolerance = 1e-6;
@@ -33,7 +33,8 @@ struct Params {
     template <class Visitor>
     void visit(Visitor& v) {
       v("type", type, choice({"wolfe", "armijo"}), "Condition on a step; bfgs and lbfgs need wolfe.");
-      v("interpolation", interpolation, choice({"cubic", "quadratic", "bisection"}), "How the next step is guessed.");
+      v("interpolation", interpolation, choice({"cubic", "quadratic", "bisection"}),
+        "Interpolation that guesses the next step.");
       v("nonlinear_cg", nonlinear_cg, choice({"fletcher_reeves", "polak_ribiere", "hestenes_stiefel"}),
         "Direction update of nonlinear_conjugate_gradient.");
       v("lbfgs_rank", lbfgs_rank, range(1, 1000), "Steps that lbfgs remembers.");
@@ -42,12 +43,14 @@ struct Params {
       v("initial_step", initial_step, range(1e-6, 1e6),
         "Largest change of a variable in the first trial step, in units of its scale.");
       v("start_margin", start_margin, range(1e-9, 0.5),
-        "Starts closer to a bound than this part of half the box are moved away by so much.");
+        "A start closer to a bound than this part of half the box is moved to that distance.");
       v("sufficient_decrease", sufficient_decrease, range(1e-12, 0.5), "Armijo's constant.");
       v("sufficient_curvature_decrease", sufficient_curvature_decrease, range(1e-6, 0.999999), "Wolfe's constant.");
-      v("max_contraction", max_contraction, range(1e-9, 0.999), "Strongest shortening from one trial to the next.");
-      v("min_contraction", min_contraction, range(1e-9, 0.999), "Weakest shortening.");
-      v("max_expansion", max_expansion, range(1.001, 1e6), "Strongest lengthening while a Wolfe bracket is sought.");
+      v("max_contraction", max_contraction, range(1e-9, 0.999), "Smallest factor from one trial step to the next.");
+      v("min_contraction", min_contraction, range(1e-9, 0.999),
+        "Largest factor from one trial step to the next, when steps get shorter.");
+      v("max_expansion", max_expansion, range(1.001, 1e6),
+        "Largest factor from one trial step to the next while a Wolfe bracket is searched for.");
       v("min_step_size", min_step_size, range(0, 1), "Shorter steps end the search.");
       v("max_step_size_iterations", max_step_size_iterations, range(1, 1000), "Trials of one line search.");
       v("max_direction_restarts", max_direction_restarts, range(0, 1000), "Restarts along the gradient.");
@@ -71,11 +74,11 @@ struct Params {
       v("dogleg", dogleg, choice({"traditional", "subspace"}), "Kind of dogleg.");
       v("linear_solver", linear_solver, choice({"dense_qr", "dense_normal_cholesky"}),
         "For the normal equations; cholesky is faster, qr more exact.");
-      v("initial_radius", initial_radius, range(1e-12, 1e16), "First trust region.");
-      v("max_radius", max_radius, range(1e-12, 1e32), "Largest trust region.");
-      v("min_radius", min_radius, range(0, 1e16), "Converged when the trust region is smaller.");
+      v("initial_radius", initial_radius, range(1e-12, 1e16), "First radius of the trust region.");
+      v("max_radius", max_radius, range(1e-12, 1e32), "Largest radius of the trust region.");
+      v("min_radius", min_radius, range(0, 1e16), "Converged when the radius is smaller.");
       v("min_relative_decrease", min_relative_decrease, range(0, 1),
-        "Least part of the predicted decrease that a step must bring.");
+        "Least part of the predicted decrease that a step must achieve.");
       v("min_lm_diagonal", min_lm_diagonal, range(0, 1e32), "Least damping of a variable.");
       v("max_lm_diagonal", max_lm_diagonal, range(0, 1e32), "Most damping of a variable.");
       v("jacobi_scaling", jacobi_scaling, "Scale the columns of the Jacobian to length 1.");
@@ -91,7 +94,7 @@ struct Params {
       choice({"lbfgs", "bfgs", "nonlinear_conjugate_gradient", "steepest_descent", "levenberg_marquardt", "dogleg"}),
       "The first four are line searches on the cost, the last two least squares on its residuals.");
     v("function_tolerance", function_tolerance, range(0, 1),
-      "Converged when an iteration changes the cost by less of it.");
+      "Converged when an iteration changes the cost by a smaller part of it.");
     v("gradient_tolerance", gradient_tolerance, range(0, 1e6),
       "Converged when no gradient entry is larger. Line search: relative to the first gradient's largest.");
     v("parameter_tolerance", parameter_tolerance, range(0, 1),

@@ -20,7 +20,8 @@ struct Params {
     double noise_decay = 0.97;
     template <class Visitor>
     void visit(Visitor& v) {
-      v("temperature", temperature, range(1e-9, 1e9), "lambda: small follows the best sample, large averages.");
+      v("temperature", temperature, range(1e-9, 1e9),
+        "lambda: a small one follows the best sample, a large one averages.");
       v("temperature_unit", temperature_unit, choice({"spread", "cost"}),
         "spread: in standard deviations of the samples' costs; cost: in units of the objective, as in the source.");
       v("noise_decay", noise_decay, range(0.1, 1.0),
@@ -39,7 +40,7 @@ struct Params {
         "rho: part of the samples that the next distribution is fitted to.");
       v("smoothing", smoothing, range(1e-3, 1.0), "alpha: weight of the elite's mean against the last mean.");
       v("noise_smoothing", noise_smoothing, range(1e-3, 1.0),
-        "beta: weight of the elite's deviation against the last one, at first.");
+        "beta: weight of the elite's deviation against the last one, in the first iteration.");
       v("noise_smoothing_power", noise_smoothing_power, range(0, 100),
         "q: how slowly that weight falls over the iterations.");
     }
@@ -52,7 +53,7 @@ struct Params {
     v("noise", noise, range(1e-6, 1e6), "First sampling noise, in units of each variable's scale.");
     v("min_noise", min_noise, range(0, 1e6), "The noise never falls below it, in units of scale.");
     v("step_tolerance", step_tolerance, range(0, 1e6),
-      "Converged when the noise of every variable is no more, in units of scale.");
+      "Converged when the noise of every variable is at most this, in units of scale.");
     v.group("mppi", mppi, "The path integral update.");
     v.group("cem", cem, "The cross-entropy method.");
   }
@@ -68,15 +69,15 @@ struct Params {
 ///     rho = min_k S_k,   w_k = exp(-(S_k - rho)/lambda) / sum_j exp(-(S_j - rho)/lambda),
 ///     mu <- mu + sum_k w_k (x_k - mu)
 /// Departures: lambda is by default in standard deviations of the S_k, since costs span decades from the first plan to
-/// the last; sigma shrinks by noise_decay per iteration, since here one problem is iterated on and not a moving one.
+/// the last; sigma shrinks by noise_decay per iteration, since the problem stays the same during the iterations.
 ///
 /// cem: the cross-entropy method with normal updating and dynamic smoothing [Rubinstein & Kroese 2004, "The
-/// cross-entropy method", ch. 5; Kroese, Porotsky & Rubinstein 2006, Methodol. Comput. Appl. Probab. 8]: over the N_e =
-/// ceil(rho K) best,
+/// cross-entropy method", ch. 5; Kroese, Porotsky & Rubinstein 2006, Methodol. Comput. Appl. Probab. 8], over the
+/// N_e = ceil(rho K) best samples:
 ///     mu    <- alpha mean_e + (1 - alpha) mu
 ///     sigma <- beta_t std_e + (1 - beta_t) sigma,   beta_t = beta - beta (1 - 1/t)^q
-/// Departures: a floor min_noise on sigma; beta is 0.5 by default, where the source has 0.8 to 0.99 and a first sigma
-/// as wide as the search space: from a start of one scale those shrink sigma before the mean has arrived.
+/// Departures: sigma has a floor, min_noise; beta is 0.5 by default. The source has 0.8 to 0.99 and a first sigma as
+/// wide as the search space. From a start of one scale such a beta shrinks sigma before the mean has arrived.
 class Mppi final : public Optimiser {
  public:
   explicit Mppi(const Params& params);

@@ -47,7 +47,7 @@ const Algorithm& find(const std::string& name) {
   throw ConfigError("nlopt: no algorithm is called '" + name + "'" + nearest_hint(name, Params::algorithms()));
 }
 
-// Cost of a point without a finite value as long as none has one (algorithms without gradients).
+// Cost of a point without a finite value, as long as no point has a finite one (algorithms without gradients).
 constexpr double kNothingFinite = 1e10;
 
 using Handle = std::unique_ptr<nlopt_opt_s, decltype(&nlopt_destroy)>;
@@ -65,7 +65,7 @@ struct Problem {
   double factor = 1.0;  // on the cost
   bool spent = false;
   std::exception_ptr error;
-  // The start, which is evaluated before NLopt runs and asked for again by most algorithms.
+  // The start, which is evaluated before NLopt runs. Most algorithms evaluate it again.
   Vector start;
   PointValue start_value;
   double worst = 0.0;  // finite cost seen
@@ -147,8 +147,8 @@ SolverOutcome outcome(nlopt_result code, const Problem& problem) {
     default:
       break;
   }
-  // NLOPT_FAILURE: no step brings an improvement, as at a minimum that the tolerances are too fine for; or there is no
-  // finite value to be had any more.
+  // NLOPT_FAILURE: no step improves the cost, as at a minimum for which the tolerances are too fine, or there are no
+  // more finite values.
   return {problem.search.last_was_finite() ? OptimiserStatus::converged : OptimiserStatus::diverged, text};
 }
 
@@ -181,7 +181,7 @@ std::vector<OptimiserResult> Nlopt::minimise(Objective& objective, ConstMatrix s
     for (Index i = 0; i < bounds.dim(); ++i)
       if (bounds.lower[i] < bounds.upper[i]) problem.variables.push_back(i);
     problem.gradients = algorithm.gradients;
-    // NLopt tells nothing of its iterations, so an evaluation after the first counts as one.
+    // NLopt does not report its iterations, so every evaluation after the first counts as one.
     const Index iterations = std::max<Index>(0, options.max_iterations);
     problem.most_evaluations = std::min(options.max_evaluations, std::max(iterations, iterations + 1));
     problem.x = start;

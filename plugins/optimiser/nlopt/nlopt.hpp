@@ -15,8 +15,7 @@ struct Params {
   std::int64_t vector_storage = 0;
   std::int64_t population = 0;
 
-  /// NLopt's names without the prefix that tells local from global and gradient from none. README.md says what is left
-  /// out.
+  /// NLopt's names without their prefixes GN_, LN_ and LD_. README.md lists those that are left out.
   static std::vector<std::string> algorithms();
 
   template <class Visitor>
@@ -37,9 +36,9 @@ struct Params {
 
 /// NLopt [Johnson, nlopt.readthedocs.io; version 2.7.1] on every instance at once, through the framework's batching
 /// evaluator. It searches over x_i / scale_i inside NLopt's own bounds. For the algorithms with gradients the cost is
-/// divided by the largest entry of the first gradient: MMA, CCSAQ and LBFGS take their first step from it. A point
-/// without a finite value gets a cost above all seen before, with a gradient that leads back to the best point, since
-/// the models of several algorithms do not survive an infinity.
+/// divided by the largest entry of the first gradient, because MMA, CCSAQ and LBFGS take their first step from it. A
+/// point without a finite value gets a cost above all earlier ones, with a gradient that leads back to the best point.
+/// The models of several algorithms would not survive an infinite cost.
 class Nlopt final : public Optimiser {
  public:
   explicit Nlopt(const Params& params);

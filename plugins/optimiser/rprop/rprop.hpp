@@ -39,7 +39,7 @@ struct Params {
 ///     D_i <- min(increase D_i, D_max) if g_i(t) g_i(t-1) > 0;  max(decrease D_i, D_min) if < 0;  else D_i
 ///     x_i <- x_i - sign(g_i(t)) D_i
 /// Departures: steps are in units of the variable's scale and bounded by its box (their D_max = 50 means nothing for a
-/// variable in [0, 1]); x is projected on the box, and a step that the box cut off does not grow; the result is the
+/// variable in [0, 1]). x is projected on the box, and a step that the box cuts off does not grow. The result is the
 /// best point, not the last one.
 class Rprop final : public Optimiser {
  public:

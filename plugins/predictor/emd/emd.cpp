@@ -10,10 +10,10 @@
 namespace weft::emd {
 namespace {
 
-constexpr Index kMostRows = 16;     // per block: what fits the second-level cache together with a layer
+constexpr Index kMostRows = 16;     // per block: these rows and one layer fit into the second-level cache
 constexpr Index kMostWanted = 512;  // per block: bounds the memory of a decoded block
 
-/// One block of cases with what is needed to differentiate it.
+/// One block of cases, and what its derivatives need.
 struct Part {
   std::vector<std::size_t> cases;  // row -> case
   Block block;
@@ -34,8 +34,7 @@ class EmdPrediction final : public PlainPrediction {
     }
     make_inputs(cases);
     make_parts(cases);
-    host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
-                       [&](std::int64_t p) { run(cases, parts_[static_cast<std::size_t>(p)]); });
+    host_.parallel_for(static_cast<std::int64_t>(parts_.size()), [&](std::int64_t p) { run(cases, parts_[p]); });
   }
 
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
@@ -48,7 +47,7 @@ class EmdPrediction final : public PlainPrediction {
       if (request_.shape_gradients) gradients[i].shape = Positions::Zero(dim().vertices, 3);
     }
     host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
-                       [&](std::int64_t p) { pullback(parts_[static_cast<std::size_t>(p)], cotangents, gradients); });
+                       [&](std::int64_t p) { pullback(parts_[p], cotangents, gradients); });
     for (auto& gradient : gradients) {
       if (!request_.control_gradients) gradient.controls.setZero();
       if (!request_.knowledge_gradients) gradient.centre = gradient.width = PropertyVector::Zero();
@@ -60,7 +59,7 @@ class EmdPrediction final : public PlainPrediction {
   std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
       const std::vector<std::vector<CaseDirection>>& directions) const override {
     if (!request_.gradients) throw Unsupported("emd: jvp needs a prediction made with gradients");
-    require_shape("emd: direction cases", static_cast<Index>(directions.size()), static_cast<Index>(segments_.size()));
+    require_shape("emd: direction cases", directions.size(), segments_.size());
     std::vector<std::vector<std::vector<ShapeCotangent>>> derivatives(directions.size());
     for (std::size_t i = 0; i < directions.size(); ++i) {
       for (const auto& d : directions[i]) {
@@ -70,7 +69,7 @@ class EmdPrediction final : public PlainPrediction {
       derivatives[i].resize(directions[i].size());
     }
     host_.parallel_for(static_cast<std::int64_t>(parts_.size()),
-                       [&](std::int64_t p) { jvp(parts_[static_cast<std::size_t>(p)], directions, derivatives); });
+                       [&](std::int64_t p) { jvp(parts_[p], directions, derivatives); });
     return derivatives;
   }
 
@@ -80,15 +79,12 @@ class EmdPrediction final : public PlainPrediction {
     return model().sigma_calibration(steps, !has_previous_[i], widths_[i]);
   }
   const Dimensions& dim() const { return bound_->model->dimensions; }
-  const CaseInputs& input(const Part& part, Index row) const {
-    return *inputs_[part.cases[static_cast<std::size_t>(row)]];
-  }
+  const CaseInputs& input(const Part& part, Index row) const { return *inputs_[part.cases[row]]; }
 
   void check_sizes(const std::vector<std::vector<ShapeCotangent>>& cotangents) const {
-    require_shape("emd: cotangent cases", static_cast<Index>(cotangents.size()), static_cast<Index>(segments_.size()));
+    require_shape("emd: cotangent cases", cotangents.size(), segments_.size());
     for (std::size_t i = 0; i < cotangents.size(); ++i) {
-      require_shape("emd: cotangents of a case", static_cast<Index>(cotangents[i].size()),
-                    static_cast<Index>(segments_[i].size()));
+      require_shape("emd: cotangents of a case", cotangents[i].size(), segments_[i].size());
       for (const auto& c : cotangents[i]) {
         if (c.mean.rows() > 0) require_shape("emd: cotangent rows", c.mean.rows(), dim().vertices);
         if (c.sigma.rows() > 0) {
@@ -100,7 +96,7 @@ class EmdPrediction final : public PlainPrediction {
     }
   }
 
-  /// States and grasp targets of every case. One that a trajectory cannot follow has failed and joins no block.
+  /// States and grasp targets of every case. A case that the trajectory cannot follow fails and joins no block.
   void make_inputs(const std::vector<PredictionCase>& cases) {
     inputs_.resize(cases.size());
     for (std::size_t i = 0; i < cases.size(); ++i) {
@@ -113,7 +109,7 @@ class EmdPrediction final : public PlainPrediction {
     }
   }
 
-  /// Cases in order of descending length, in blocks that share the threads evenly.
+  /// Sorts the cases by descending length into blocks that share the threads evenly.
   void make_parts(const std::vector<PredictionCase>& cases) {
     std::vector<std::size_t> order;
     for (std::size_t i = 0; i < cases.size(); ++i) {
@@ -121,18 +117,18 @@ class EmdPrediction final : public PlainPrediction {
     }
     std::stable_sort(order.begin(), order.end(),
                      [&](std::size_t a, std::size_t b) { return cases[a].segments.back() > cases[b].segments.back(); });
-    const auto count = static_cast<Index>(order.size());
+    const Index count = order.size();
     if (count == 0) return;
     const Index threads = std::max(1, host_.threads());
     const Index blocks = std::max((count + kMostRows - 1) / kMostRows, std::min(threads, (count + 3) / 4));
     // Block b takes every blocks-th case: blocks of like length.
-    std::vector<std::vector<std::size_t>> rows(static_cast<std::size_t>(blocks));
-    for (std::size_t i = 0; i < order.size(); ++i) rows[i % static_cast<std::size_t>(blocks)].push_back(order[i]);
+    std::vector<std::vector<std::size_t>> rows(blocks);
+    for (std::size_t i = 0; i < order.size(); ++i) rows[i % blocks].push_back(order[i]);
     for (auto& part_rows : rows) {
       Index wanted = 0;
       parts_.emplace_back();
       for (const auto i : part_rows) {
-        const auto more = static_cast<Index>(cases[i].segments.size());
+        const Index more = cases[i].segments.size();
         if (wanted > 0 && wanted + more > kMostWanted) {
           parts_.emplace_back();
           wanted = 0;
@@ -146,16 +142,15 @@ class EmdPrediction final : public PlainPrediction {
   void run(const std::vector<PredictionCase>& cases, Part& part) {
     const Index n = dim().coordinates(), u = dim().inputs();
     auto& block = part.block;
-    block.rows = static_cast<Index>(part.cases.size());
-    block.shape.resize(static_cast<std::size_t>(block.rows * n));
-    block.change.assign(static_cast<std::size_t>(block.rows * n), 0.0f);
+    block.rows = part.cases.size();
+    block.shape.resize(block.rows * n);
+    block.change.assign(block.rows * n, 0.0f);
     for (Index r = 0; r < block.rows; ++r) {
-      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      const std::size_t i = part.cases[r];
       const auto& one = cases[i];
       block.steps.push_back(one.segments.back());
       float* y = block.shape.data() + r * n;
-      for (Index c = 0; c < n; ++c)
-        y[c] = static_cast<float>(one.shape->data()[c]) / kLength - model().mean[static_cast<std::size_t>(c)];
+      for (Index c = 0; c < n; ++c) y[c] = static_cast<float>(one.shape->data()[c]) / kLength - model().mean[c];
       if (one.previous) {
         float* v = block.change.data() + r * n;
         for (Index c = 0; c < n; ++c)
@@ -166,14 +161,14 @@ class EmdPrediction final : public PlainPrediction {
         part.places.emplace_back(i, s);
       }
     }
-    block.inputs.resize(static_cast<std::size_t>(block.total() * u));
+    block.inputs.resize(block.total() * u);
     float* to = block.inputs.data();
     for (Index j = 0; j < block.steps.front(); ++j) {
       const Index running = block.running(j);
       for (Index r = 0; r < running; ++r, to += u) input(part, r).write(model(), j, to);
     }
     const bool has_sigma = request_.moments == Moments::mean_and_sigma;
-    const std::size_t count = block.wanted.size() * static_cast<std::size_t>(n);
+    const std::size_t count = block.wanted.size() * n;
     std::vector<float> mean(count), sigma(has_sigma ? count : 0);
     bound_->network->forward(block, part.tape, mean.data(), has_sigma ? sigma.data() : nullptr);
     for (std::size_t w = 0; w < block.wanted.size(); ++w) {
@@ -182,17 +177,16 @@ class EmdPrediction final : public PlainPrediction {
       auto& shape = shapes_[i][s];
       shape.mean.resize(dim().vertices, 3);
       shape.sigma.resize(has_sigma ? dim().vertices : 0, 3);
-      const float* m = mean.data() + w * static_cast<std::size_t>(n);
+      const float* m = mean.data() + w * n;
       const Model::SigmaCalibration calibrated = calibration(i, block.wanted[w].step);
-      for (Index c = 0; c < n; ++c)
-        shape.mean.data()[c] = static_cast<double>((m[c] + model().mean[static_cast<std::size_t>(c)]) * kLength);
+      for (Index c = 0; c < n; ++c) shape.mean.data()[c] = static_cast<double>((m[c] + model().mean[c]) * kLength);
       if (has_sigma) {
-        const float* d = sigma.data() + w * static_cast<std::size_t>(n);
+        const float* d = sigma.data() + w * n;
         for (Index c = 0; c < n; ++c) shape.sigma.data()[c] = calibrated(static_cast<double>(d[c] * kLength));
       }
       if (!shape.mean.allFinite() || !shape.sigma.allFinite()) {
         failures_[i] = "emd: the prediction after " + std::to_string(block.wanted[w].step) +
-                       " segments is not finite; the inputs lie far outside of what it was trained on";
+                       " segments is not finite; the inputs lie far outside the training data";
       }
     }
     for (const auto i : part.cases) {
@@ -208,13 +202,13 @@ class EmdPrediction final : public PlainPrediction {
                 std::vector<CaseGradient>& gradients) const {
     const auto& block = part.block;
     const Index n = dim().coordinates(), u = dim().inputs();
-    const std::size_t count = block.wanted.size() * static_cast<std::size_t>(n);
+    const std::size_t count = block.wanted.size() * n;
     std::vector<float> d_mean(count, 0.0f), d_sigma;
     for (std::size_t w = 0; w < block.wanted.size(); ++w) {
       const auto [i, s] = part.places[w];
       if (!failures_[i].empty()) continue;
       const auto& cotangent = cotangents[i][s];
-      float* m = d_mean.data() + w * static_cast<std::size_t>(n);
+      float* m = d_mean.data() + w * n;
       if (cotangent.mean.rows() > 0) {
         for (Index c = 0; c < n; ++c) m[c] = static_cast<float>(cotangent.mean.data()[c]) * kLength;
       }
@@ -222,7 +216,7 @@ class EmdPrediction final : public PlainPrediction {
         if (d_sigma.empty()) d_sigma.assign(count, 0.0f);
         const Model::SigmaCalibration calibrated = calibration(i, block.wanted[w].step);
         const double* sigma = shapes_[i][s].sigma.data();
-        float* d = d_sigma.data() + w * static_cast<std::size_t>(n);
+        float* d = d_sigma.data() + w * n;
         double d_width = 0.0;
         for (Index c = 0; c < n; ++c) {
           const double one = cotangent.sigma.data()[c];
@@ -239,15 +233,14 @@ class EmdPrediction final : public PlainPrediction {
                               d_inputs.data(), with_shape ? d_shape.data() : nullptr,
                               with_shape ? d_change.data() : nullptr);
     for (Index r = 0; r < block.rows; ++r) {
-      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      const std::size_t i = part.cases[r];
       if (!failures_[i].empty()) continue;
       std::vector<const float*> rows;
-      for (Index j = 0; j < block.steps[static_cast<std::size_t>(r)]; ++j)
-        rows.push_back(d_inputs.data() + (part.tape.offset[static_cast<std::size_t>(j)] + r) * u);
+      for (Index j = 0; j < block.steps[r]; ++j) rows.push_back(d_inputs.data() + (part.tape.offset[j] + r) * u);
       input(part, r).pullback(model(), rows, gradients[i]);
       if (!with_shape) continue;
       for (Index c = 0; c < n; ++c) {
-        const auto at = static_cast<std::size_t>(r * n + c);
+        const std::size_t at = r * n + c;
         const float sum = has_previous_[i] ? d_shape[at] + d_change[at] : d_shape[at];
         gradients[i].shape.data()[c] = static_cast<double>(sum / kLength);
       }
@@ -261,7 +254,7 @@ class EmdPrediction final : public PlainPrediction {
     std::vector<Index> rows;
     std::vector<std::vector<std::vector<float>>> inputs;  // [direction][segment][input]
     for (Index r = 0; r < block.rows; ++r) {
-      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      const std::size_t i = part.cases[r];
       for (const auto& direction : directions[i]) {
         rows.push_back(r);
         inputs.emplace_back();
@@ -274,16 +267,16 @@ class EmdPrediction final : public PlainPrediction {
       for (std::size_t t = 0; t < rows.size() && rows[t] < part.tape.running[j]; ++t)
         flat.insert(flat.end(), inputs[t][j].begin(), inputs[t][j].end());
     }
-    flat.resize(std::max<std::size_t>(flat.size(), static_cast<std::size_t>(u)));
+    flat.resize(std::max<std::size_t>(flat.size(), u));
     std::size_t shapes = 0;
-    for (const Index r : rows) shapes += segments_[part.cases[static_cast<std::size_t>(r)]].size();
+    for (const Index r : rows) shapes += segments_[part.cases[r]].size();
     const bool has_sigma = request_.moments == Moments::mean_and_sigma;
-    std::vector<float> d_mean(shapes * static_cast<std::size_t>(n)), d_sigma(has_sigma ? d_mean.size() : 0);
+    std::vector<float> d_mean(shapes * n), d_sigma(has_sigma ? d_mean.size() : 0);
     bound_->network->jvp(block, part.tape, rows, flat.data(), d_mean.data(), has_sigma ? d_sigma.data() : nullptr);
     std::size_t at = 0;
     std::vector<std::size_t> next(directions.size(), 0);
     for (const Index r : rows) {
-      const std::size_t i = part.cases[static_cast<std::size_t>(r)];
+      const std::size_t i = part.cases[r];
       const double d_width = directions[i][next[i]].width.mean();
       auto& result = derivatives[i][next[i]++];
       for (std::size_t s = 0; s < segments_[i].size(); ++s) {
@@ -292,16 +285,13 @@ class EmdPrediction final : public PlainPrediction {
         one.sigma.resize(has_sigma ? dim().vertices : 0, 3);
         const Model::SigmaCalibration calibrated = calibration(i, segments_[i][s]);
         const double* sigma = shapes_[i].empty() ? nullptr : shapes_[i][s].sigma.data();
-        for (Index c = 0; c < n; ++c)
-          one.mean.data()[c] = static_cast<double>(d_mean[at + static_cast<std::size_t>(c)] * kLength);
+        for (Index c = 0; c < n; ++c) one.mean.data()[c] = static_cast<double>(d_mean[at + c] * kLength);
         for (Index c = 0; c < one.sigma.size(); ++c) {
-          one.sigma.data()[c] = sigma
-                                    ? calibrated.by_sigma(sigma[c]) *
-                                              static_cast<double>(d_sigma[at + static_cast<std::size_t>(c)] * kLength) +
-                                          calibrated.by_width(sigma[c]) * d_width
-                                    : 0.0;  // the case has failed
+          one.sigma.data()[c] = sigma ? calibrated.by_sigma(sigma[c]) * static_cast<double>(d_sigma[at + c] * kLength) +
+                                            calibrated.by_width(sigma[c]) * d_width
+                                      : 0.0;  // the case has failed
         }
-        at += static_cast<std::size_t>(n);
+        at += n;
         result.push_back(std::move(one));
       }
     }
@@ -350,9 +340,7 @@ void EmdPredictor::bind(const Task& task) {
 
 std::optional<Box> EmdPredictor::control_range() const {
   if (!bound_) throw Error("emd: control_range() before bind()");
-  const auto vector = [](const std::vector<double>& v) {
-    return Vector(Eigen::Map<const Vector>(v.data(), static_cast<Index>(v.size())));
-  };
+  const auto vector = [](const std::vector<double>& v) { return Vector(Eigen::Map<const Vector>(v.data(), v.size())); };
   return Box{vector(bound_->model->control_low), vector(bound_->model->control_high)};
 }
 
@@ -385,10 +373,10 @@ std::vector<DatasetOrigin> EmdPredictor::trained_on() const {
 CalibrationReport EmdPredictor::calibrate(const Dataset& dataset, const std::vector<std::size_t>& examples,
                                           const Task& task, const CalibrationOptions& options) {
   if (!model_) bind(task);
-  if (model_->dataset.empty()) throw ConfigError("emd: a network of random weights has nothing to calibrate");
+  if (model_->dataset.empty()) throw ConfigError("emd: a network of random weights cannot be calibrated");
   model_->require_task(task, params_.other_fabric == "warn");
   dataset.require_task(task);
-  if (examples.empty()) throw ConfigError("emd: there is no example to calibrate with");
+  if (examples.empty()) throw ConfigError("emd: no examples to calibrate with");
   for (const std::size_t i : examples) {
     if (i >= dataset.examples.size() || dataset.examples[i].failed())
       throw ShapeError("emd: the dataset has no good example at position " + std::to_string(i));
@@ -397,7 +385,7 @@ CalibrationReport EmdPredictor::calibrate(const Dataset& dataset, const std::vec
   CalibrationJob job{dataset, examples, params_.training, options.seed, host_, *model_, {}};
   run(job);
   job.model.calibrated = dataset.origins();
-  // In the precision it came in: what was stored as halves is whole as halves.
+  // A model that came in half precision is saved in half precision again.
   if (!options.model.empty()) save_model(options.model, job.model, fits_half(job.model));
   model_ = std::make_shared<const Model>(std::move(job.model));
   bound_.reset();

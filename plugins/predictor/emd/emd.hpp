@@ -9,9 +9,9 @@
 
 namespace weft::emd {
 
-/// The learned predictor (section 2.3), after the EM*D family: encoder, recurrent prediction module, decoder to mean
-/// and sigma. Prediction and its derivatives are written out by hand and need no library; training (fit) needs
-/// libtorch, which is loaded only then.
+/// The learned predictor (section 2.3), after the EM*D family: an encoder, a recurrent prediction module, and a decoder
+/// to mean and sigma. Prediction and its derivatives are written by hand and need no library. Only training and
+/// calibration need libtorch, and only they load it.
 class EmdPredictor final : public Predictor, public TrainablePredictor {
  public:
   EmdPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
@@ -32,7 +32,7 @@ class EmdPredictor final : public Predictor, public TrainablePredictor {
                               const CalibrationOptions& options) override;
   std::vector<DatasetOrigin> calibrated_on() const override;
 
-  /// What predictions share and keep alive.
+  /// Everything that predictions share and keep alive.
   struct Bound {
     Task task;
     std::shared_ptr<const Model> model;

@@ -34,11 +34,9 @@ CaseInputs::CaseInputs(const Task& task, const Dimensions& dimensions, const Pre
 void CaseInputs::write(const Model& model, Index j, float* to) const {
   double raw[512];  // load_model and describe_task bound the sizes
   write_inputs(dim_, controls_.row(j).data(), states_.row(j).data(), states_.row(j + 1).data(), targets_.row(j).data(),
-               targets_.row(j + 1).data(), released_[static_cast<std::size_t>(j)], knowledge_.centre, knowledge_.width,
-               raw);
+               targets_.row(j + 1).data(), released_[j], knowledge_.centre, knowledge_.width, raw);
   for (Index i = 0; i < dim_.inputs(); ++i) {
-    const auto at = static_cast<std::size_t>(i);
-    to[i] = static_cast<float>((raw[i] - model.input_mean[at]) / model.input_sd[at]);
+    to[i] = static_cast<float>((raw[i] - model.input_mean[i]) / model.input_sd[i]);
   }
 }
 
@@ -50,11 +48,10 @@ void CaseInputs::pullback(const Model& model, const std::vector<const float*>& d
   Controls raw(steps, dim_.inputs());
   for (Index j = 0; j < steps; ++j) {
     for (Index i = 0; i < raw.cols(); ++i) {
-      raw(j, i) = static_cast<double>(d_inputs[static_cast<std::size_t>(j)][i]) /
-                  static_cast<double>(model.input_sd[static_cast<std::size_t>(i)]);
+      raw(j, i) = static_cast<double>(d_inputs[j][i]) / static_cast<double>(model.input_sd[i]);
     }
   }
-  // What the inputs of segment j say of a state, directly and through its targets.
+  // The gradient that the inputs of segment j pass to a state, directly and through its targets.
   const auto add_state = [&](Index row, Index j, Index state_at, Index targets_at, Vector& d_state) {
     d_state += raw.row(j).segment(state_at, dim_.states).transpose();
     const Positions d_targets = Eigen::Map<const Positions>(raw.row(j).data() + targets_at, dim_.hands, 3);
@@ -79,7 +76,7 @@ void CaseInputs::pullback(const Model& model, const std::vector<const float*>& d
 void CaseInputs::jvp(const Model& model, const CaseDirection& direction, std::vector<std::vector<float>>& to) const {
   const auto& trajectory = *task_.trajectory;
   const Index steps = controls_.rows(), s = dim_.states, c = dim_.controls, g = 3 * dim_.hands;
-  to.assign(static_cast<std::size_t>(steps), std::vector<float>(static_cast<std::size_t>(dim_.inputs())));
+  to.assign(steps, std::vector<float>(dim_.inputs()));
   Vector d_state = Vector::Zero(s), d_targets = Vector::Zero(g);
   Vector row_state, row_control;
   for (Index j = 0; j < steps; ++j) {
@@ -110,8 +107,7 @@ void CaseInputs::jvp(const Model& model, const CaseDirection& direction, std::ve
     raw.segment<4>(dim_.centre_input()) = direction.centre;
     raw.segment<4>(dim_.width_input()) = direction.width;
     for (Index i = 0; i < raw.size(); ++i) {
-      to[static_cast<std::size_t>(j)][static_cast<std::size_t>(i)] =
-          static_cast<float>(raw(i) / static_cast<double>(model.input_sd[static_cast<std::size_t>(i)]));
+      to[j][i] = static_cast<float>(raw(i) / static_cast<double>(model.input_sd[i]));
     }
   }
 }

@@ -4,8 +4,8 @@
 
 namespace weft::emd {
 
-/// Control states and grasp targets along a case's controls, and from them the inputs of the prediction module.
-/// In the trajectory's own units; the network sees them standardised.
+/// Control states and grasp targets along a case's controls, and the inputs of the prediction module made from them.
+/// States and targets are in the trajectory's own units. The network sees standardised inputs.
 class CaseInputs {
  public:
   CaseInputs(const Task& task, const Dimensions& dimensions, const PredictionCase& one, Index steps);

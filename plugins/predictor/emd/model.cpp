@@ -127,9 +127,9 @@ std::string Model::require_task(const Task& task, bool allow_other_fabric) const
     refuse("the grasp points", list(initial_targets), list(wanted.initial_targets));
   if (material != wanted.material) {
     const std::string text =
-        "emd: the model was trained with another material space than the task's: its properties in [0, 1] stand "
-        "for other fabrics";
-    if (!allow_other_fabric) throw ConfigError(text + " (predictor.params.other_fabric: warn uses it all the same)");
+        "emd: the model was trained with another material space than the task's: the same properties in [0, 1] "
+        "mean other fabrics";
+    if (!allow_other_fabric) throw ConfigError(text + " (predictor.params.other_fabric: warn uses the model anyway)");
     return text;
   }
   return {};
@@ -204,7 +204,7 @@ Model untrained_model(Architecture architecture, const Task& task, std::uint64_t
   add(0.0, 0.5);
   for (int p = 0; p < 4; ++p) add(0.5, 0.29);
   for (int p = 0; p < 4; ++p) add(0.33, 0.3);
-  m.calibration = {1.0f, 0.9f, 1.3f, 1.4f, 1.1f, 1.0f, 1.2f, 1.5f};  // any, so that tests see them
+  m.calibration = {1.0f, 0.9f, 1.3f, 1.4f, 1.1f, 1.0f, 1.2f, 1.5f};  // arbitrary, so that tests notice them
   m.calibration_added = {0.0f, 0.01f, 0.02f, 0.05f, 0.0f, 0.0f, 0.03f, 0.02f};
   return m;
 }

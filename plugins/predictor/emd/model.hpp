@@ -13,7 +13,7 @@ namespace weft::emd {
 
 /// Unit of all lengths inside the network, m.
 inline constexpr float kLength = 0.1f;
-/// The velocity input is a change of shape per segment; this brings it to the size of the shape input.
+/// Scales the velocity input, a change of shape per segment, to the size of the shape input.
 inline constexpr float kVelocityGain = 3.0f;
 /// Largest exponent of sigma's logarithm inside the network: e^3 kLength = 2 m.
 inline constexpr float kLargestLogSigma = 3.0f;
@@ -70,10 +70,10 @@ struct Model {
   std::vector<float> basis;                 ///< [coordinates, latent], orthonormal columns; empty unless needs_basis()
   std::vector<float> scale;                 ///< [latent]: latent = (PCA coefficient) / scale
   std::vector<float> input_mean, input_sd;  ///< [inputs]
-  /// [2, 2, steps]: factors on sigma after j segments (beyond the last: the last), from the start of a session or from
-  /// within one, with exact knowledge and with none.
+  /// [2, 2, steps]: factors on sigma, from the start of a session or from within one, with exact knowledge or with
+  /// none, after j segments. The last factor also serves all longer predictions.
   std::vector<float> calibration;
-  /// The same shape, or empty for none: lengths added to sigma in quadrature before the factor, units of kLength.
+  /// The same shape, or empty for none: lengths in units of kLength, added to sigma in quadrature before the factor.
   std::vector<float> calibration_added;
 
   // What it was trained for.
@@ -92,7 +92,7 @@ struct Model {
 
   bool needs_basis() const { return architecture.pca_skip || architecture.previous_shape; }
   Index latent_size() const { return architecture.latent + architecture.memory; }
-  /// Of sigma, all in m:  sigma' = factor sqrt(sigma^2 + added^2).
+  /// Calibration of sigma, all in m:  sigma' = factor sqrt(sigma^2 + added^2).
   struct SigmaCalibration {
     double factor = 1.0, factor_slope = 0.0;  ///< d log(factor) / d (mean width)
     double added = 0.0, added_slope = 0.0;    ///< m, d added / d (mean width)
@@ -108,7 +108,8 @@ struct Model {
       return factor_slope * calibrated + factor * factor * added * added_slope / calibrated;
     }
   };
-  /// After `steps` segments. Between exact knowledge and none, log(factor) and `added` are linear in the mean width.
+  /// Calibration after `steps` segments. Between exact knowledge and none, log(factor) and `added` are linear in the
+  /// mean width.
   SigmaCalibration sigma_calibration(Index steps, bool from_start, double mean_width) const;
   /// Takes names and geometry from a task.
   void describe_task(const Task& task);
@@ -117,11 +118,11 @@ struct Model {
   std::string require_task(const Task& task, bool allow_other_fabric) const;
 };
 
-/// First weights of a fit: normal, scaled to the number of inputs.
+/// Initial weights of a fit: normal, scaled to the number of inputs.
 void draw_weights(const Layout& layout, std::uint64_t seed, std::vector<float>& weights);
-/// A model of random weights for any task, with the latent size cut to what its garment has.
+/// A model of random weights for any task. The latent size is at most what the task's garment allows.
 Model untrained_model(Architecture architecture, const Task& task, std::uint64_t seed);
-/// The words with one space between them.
+/// Joins the words with single spaces.
 std::string join(const std::vector<std::string>& words);
 
 }  // namespace weft::emd

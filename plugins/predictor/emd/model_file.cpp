@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "weft/hash.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft::emd {
@@ -10,27 +11,14 @@ namespace {
 
 constexpr const char* kSchema = "weft emd model 4";
 constexpr const char* kSchema3 = "weft emd model 3";  // without /calibration_datasets
-constexpr const char* kSchema2 = "weft emd model 2";  // without that and /calibration_added
-constexpr const char* kSchema1 = "weft emd model 1";  // without these and /datasets, and with checksum_1
+constexpr const char* kSchema2 = "weft emd model 2";  // without /calibration_datasets and /calibration_added
+constexpr const char* kSchema1 = "weft emd model 1";  // without those two and /datasets, and with checksum_1
 constexpr Index kMostDatasets = 1000;
-
-/// 64-bit FNV-1a over bytes.
-class Hash {
- public:
-  void add(const void* data, std::size_t size) {
-    const auto* bytes = static_cast<const unsigned char*>(data);
-    for (std::size_t i = 0; i < size; ++i) value_ = (value_ ^ bytes[i]) * 0x100000001b3ull;
-  }
-  std::string text() const { return std::to_string(value_); }
-
- private:
-  std::uint64_t value_ = 0xcbf29ce484222325ull;
-};
 
 /// Checksum of everything that a file holds.
 /// @param architecture the text in the file: a later version may word the same architecture differently.
 std::string checksum(const Model& m, const std::string& architecture) {
-  Hash hash;
+  Fnv1a hash;
   const auto add = [&](const auto&... all) {
     const auto one = [&](const auto& v) {
       const std::uint64_t size = v.size();
@@ -55,17 +43,17 @@ std::string checksum(const Model& m, const std::string& architecture) {
     }
   };
   add_datasets(m.datasets);
-  if (!m.calibrated.empty()) add(std::string("calibrated"));  // so that none moves from one list to the other
+  if (!m.calibrated.empty()) add(std::string("calibrated"));  // marks where the other list begins
   add_datasets(m.calibrated);
-  return hash.text();
+  return std::to_string(hash.value());
 }
-/// The checksum of kSchema1: of the network alone.
+/// The checksum of kSchema1, which covers the network alone.
 std::string checksum_1(const Model& m) {
-  Hash hash;
+  Fnv1a hash;
   for (const auto* v : {&m.weights, &m.mean, &m.basis, &m.scale, &m.input_mean, &m.input_sd, &m.calibration}) {
     hash.add(v->data(), v->size() * sizeof(float));
   }
-  return hash.text();
+  return std::to_string(hash.value());
 }
 
 /// The values as a mapping that read_params reads back.
@@ -116,7 +104,7 @@ class ModelWriter {
   void write_vector(const std::string& name, const std::vector<T>& v) {
     file_.write(name, {static_cast<Index>(v.size())}, v.data());
   }
-  /// In the file's precision.
+  /// Writes numbers in the file's precision.
   void write_matrix(const std::string& name, Index rows, Index columns, const float* data) {
     half_ ? file_.write_half(name, {rows, columns}, data) : file_.write(name, {rows, columns}, data);
   }
@@ -193,7 +181,7 @@ class ModelReader {
     m_.provenance = file_.read_text("/provenance");
     m_.training = file_.read_text("/training");
     const std::string wanted = schema == kSchema1 ? checksum_1(m_) : checksum(m_, architecture);
-    if (wanted != file_.read_text("/checksum")) refuse("is damaged: its content does not have the recorded checksum");
+    if (wanted != file_.read_text("/checksum")) refuse("is damaged: its content does not match the recorded checksum");
     return std::move(m_);
   }
 
@@ -201,7 +189,7 @@ class ModelReader {
   [[noreturn]] void refuse(const std::string& reason) const { throw ConfigError(path_.string() + ": " + reason); }
 
   std::string read_schema() const {
-    if (!file_.has("/schema")) refuse("is no model of the predictor emd");
+    if (!file_.has("/schema")) refuse("is not a model of the predictor emd");
     const auto schema = file_.read_text("/schema");
     if (schema != kSchema && schema != kSchema3 && schema != kSchema2 && schema != kSchema1) {
       refuse("has the schema '" + schema + "', this program reads '" + kSchema1 + "' to '" + kSchema + "'");
@@ -301,7 +289,7 @@ class ModelReader {
     return datasets;
   }
 
-  // Each of these refuses what does not have the given size, and numbers that are not finite.
+  // Each of these refuses data of another size than the given one, and numbers that are not finite.
 
   std::vector<float> floats(const std::string& name, const std::vector<Index>& shape) const {
     if (file_.shape(name) != shape) refuse(name + " has a shape that does not fit the architecture");
@@ -313,7 +301,7 @@ class ModelReader {
   }
   std::vector<double> numbers(const std::string& name, Index count) const {
     auto values = file_.read(name, 4096);
-    if (static_cast<Index>(values.size()) != count) refuse(name + " must have " + std::to_string(count) + " entries");
+    if (std::ssize(values) != count) refuse(name + " must have " + std::to_string(count) + " entries");
     require_finite(name, values);
     return values;
   }
@@ -332,14 +320,14 @@ class ModelReader {
         all.back().push_back(c);
       }
     }
-    if (static_cast<Index>(all.size()) != count) refuse(name + " must have " + std::to_string(count) + " words");
+    if (std::ssize(all) != count) refuse(name + " must have " + std::to_string(count) + " words");
     return all;
   }
   std::uint64_t integer(const std::string& name, const std::string& text) const {
     try {
       return std::stoull(text);
     } catch (const std::logic_error&) {
-      refuse(name + " holds '" + text + "', which is no number");
+      refuse(name + " holds '" + text + "', which is not a number");
     }
   }
 
@@ -352,7 +340,7 @@ class ModelReader {
 
 void save_model(const std::filesystem::path& path, const Model& model, bool half_precision) {
   Model stored = model;
-  if (half_precision) {  // the checksum is of what will be read back
+  if (half_precision) {  // the checksum covers the rounded numbers, as they will be read back
     for (auto* v : {&stored.weights, &stored.basis}) {
       for (float& x : *v) x = round_to_half(x);
     }

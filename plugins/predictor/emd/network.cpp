@@ -6,7 +6,7 @@
 namespace weft::emd {
 namespace {
 
-std::size_t size_of(Index rows, Index columns) { return static_cast<std::size_t>(rows * columns); }
+std::size_t size_of(Index rows, Index columns) { return rows * columns; }
 
 void add(float* to, const float* from, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) to[i] += from[i];
@@ -41,10 +41,10 @@ Network::Network(const Model& model, const Kernels& kernels)
     std::vector<float> project(model.basis), expand(model.basis.size());
     for (Index i = 0; i < n; ++i) {
       for (Index j = 0; j < l; ++j) {
-        const float b = model.basis[size_of(i, l) + static_cast<std::size_t>(j)];
-        const float s = model.scale[static_cast<std::size_t>(j)];
-        project[size_of(i, l) + static_cast<std::size_t>(j)] = b / s;
-        expand[size_of(j, n) + static_cast<std::size_t>(i)] = b * s;
+        const float b = model.basis[size_of(i, l) + j];
+        const float s = model.scale[j];
+        project[size_of(i, l) + j] = b / s;
+        expand[size_of(j, n) + i] = b * s;
       }
     }
     project_ = pack(project.data(), n, l);
@@ -54,7 +54,7 @@ Network::Network(const Model& model, const Kernels& kernels)
 
 Network::Packed Network::pack(const float* data, Index k, Index n) const {
   Packed p{k, n, {}, {}};
-  const auto rows = static_cast<std::size_t>(k), columns = static_cast<std::size_t>(n);
+  const std::size_t rows = k, columns = n;
   p.forward.resize(kernels_.packed_size(rows, columns));
   p.backward.resize(kernels_.packed_size(columns, rows));
   kernels_.pack(rows, columns, data, columns, 1, p.forward.data());
@@ -62,24 +62,21 @@ Network::Packed Network::pack(const float* data, Index k, Index n) const {
   return p;
 }
 Network::Packed Network::pack(int weight) const {
-  const auto& w = layout_.weights[static_cast<std::size_t>(weight)];
+  const auto& w = layout_.weights[weight];
   return pack(weights_.data() + w.offset, w.rows, w.columns);
 }
 
 void Network::times(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc, const float* start,
                     bool accumulate) const {
-  kernels_.gemm(static_cast<std::size_t>(m), static_cast<std::size_t>(b.k), static_cast<std::size_t>(b.n), a,
-                static_cast<std::size_t>(lda), b.forward.data(), c, static_cast<std::size_t>(ldc), start, accumulate);
+  kernels_.gemm(m, b.k, b.n, a, lda, b.forward.data(), c, ldc, start, accumulate);
 }
 void Network::times_transposed(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc,
                                bool accumulate) const {
-  kernels_.gemm(static_cast<std::size_t>(m), static_cast<std::size_t>(b.n), static_cast<std::size_t>(b.k), a,
-                static_cast<std::size_t>(lda), b.backward.data(), c, static_cast<std::size_t>(ldc), nullptr,
-                accumulate);
+  kernels_.gemm(m, b.n, b.k, a, lda, b.backward.data(), c, ldc, nullptr, accumulate);
 }
 
 void Network::normalise(Index rows, float* z, std::vector<float>& factor) const {
-  factor.assign(static_cast<std::size_t>(rows), 1.0f);
+  factor.assign(rows, 1.0f);
   if (!norm_) return;
   for (Index r = 0; r < rows; ++r) {
     float* a = z + size_of(r, z_);
@@ -87,7 +84,7 @@ void Network::normalise(Index rows, float* z, std::vector<float>& factor) const 
     for (Index i = norm_begin(); i < z_; ++i) sum += a[i] * a[i];
     const float s = 1.0f / std::sqrt(sum);
     for (Index i = norm_begin(); i < z_; ++i) a[i] *= s;
-    factor[static_cast<std::size_t>(r)] = s;
+    factor[r] = s;
   }
 }
 
@@ -112,8 +109,8 @@ void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma)
     tape.running.push_back(block.running(j));
     tape.offset.push_back(tape.offset.back() + tape.running.back());
   }
-  tape.z.resize(static_cast<std::size_t>(most) + 1);
-  tape.norm.resize(static_cast<std::size_t>(most) + 1);
+  tape.z.resize(most + 1);
+  tape.norm.resize(most + 1);
   encode(block, tape);
   advance(block, tape);
   decode(block, tape, mean, sigma);
@@ -142,7 +139,7 @@ void Network::encode(const Block& block, Tape& tape) const {
 
 void Network::advance(const Block& block, Tape& tape) const {
   const Index hidden = arch_.hidden, u = dim_.inputs(), total = block.total();
-  // What the inputs contribute to each layer is independent of the state: one product for all segments.
+  // The inputs' contribution to each layer does not depend on the state, so one product serves all segments.
   const auto layers = layer_h_.size();
   tape.pre.resize(layers);
   tape.post.resize(layers);
@@ -173,8 +170,7 @@ void Network::advance(const Block& block, Tape& tape) const {
       float* post = tape.post[l].data() + first;
       times(layer_h_[l], m, below, below_size, pre, hidden, nullptr, true);
       kernels_.activate(count, pre, post, tanh());
-      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0)
-        add(post, tape.post[static_cast<std::size_t>(skip)].data() + first, count);
+      if (const Index skip = skip_of(l); skip >= 0) add(post, tape.post[skip].data() + first, count);
       below = post;
       below_size = hidden;
     }
@@ -189,13 +185,12 @@ void Network::advance(const Block& block, Tape& tape) const {
 
 void Network::decode(const Block& block, Tape& tape, float* mean, float* sigma) const {
   const Index n = dim_.coordinates(), rows = block.rows;
-  const auto wanted = static_cast<Index>(block.wanted.size());
+  const Index wanted = block.wanted.size();
   const Index width = arch_.decoder_hidden;
   std::vector<float> z(size_of(wanted, z_));
   for (Index w = 0; w < wanted; ++w) {
-    const auto& one = block.wanted[static_cast<std::size_t>(w)];
-    std::copy_n(tape.z[static_cast<std::size_t>(one.step)].data() + size_of(one.row, z_), z_,
-                z.data() + size_of(w, z_));
+    const auto& one = block.wanted[w];
+    std::copy_n(tape.z[one.step].data() + size_of(one.row, z_), z_, z.data() + size_of(w, z_));
   }
   tape.decoder_pre.resize(size_of(wanted, width));
   times(decoder_in_, wanted, z.data(), z_, tape.decoder_pre.data(), width, bias(layout_.decoder_bias), false);
@@ -221,12 +216,9 @@ void Network::decode(const Block& block, Tape& tape, float* mean, float* sigma) 
     std::vector<float> start(tape.start_pre.size());
     kernels_.activate(start.size(), tape.start_pre.data(), start.data(), tanh());
     for (Index w = 0; w < wanted; ++w) {
-      const Index row = block.wanted[static_cast<std::size_t>(w)].row;
-      for (Index i = 0; i < width; ++i)
-        features[size_of(w, width) + static_cast<std::size_t>(i)] -=
-            start[size_of(row, width) + static_cast<std::size_t>(i)];
-      for (Index i = 0; i < z_; ++i)
-        z[size_of(w, z_) + static_cast<std::size_t>(i)] -= tape.z[0][size_of(row, z_) + static_cast<std::size_t>(i)];
+      const Index row = block.wanted[w].row;
+      for (Index i = 0; i < width; ++i) features[size_of(w, width) + i] -= start[size_of(row, width) + i];
+      for (Index i = 0; i < z_; ++i) z[size_of(w, z_) + i] -= tape.z[0][size_of(row, z_) + i];
       std::copy_n(block.shape.data() + size_of(row, n), n, mean + size_of(w, n));
     }
     times(mean_, wanted, features.data(), width, mean, n, nullptr, true);
@@ -249,7 +241,7 @@ void Network::pullback(const Block& block, const Tape& tape, const float* d_mean
 void Network::decode_pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma,
                               std::vector<std::vector<float>>& dz, float* d_shape) const {
   const Index n = dim_.coordinates(), rows = block.rows;
-  const auto wanted = static_cast<Index>(block.wanted.size());
+  const Index wanted = block.wanted.size();
   const Index width = arch_.decoder_hidden;
   std::vector<float> d_features(size_of(wanted, width), 0.0f), d_code(size_of(wanted, z_), 0.0f);
   if (d_mean != nullptr) {
@@ -258,13 +250,10 @@ void Network::decode_pullback(const Block& block, const Tape& tape, const float*
     if (arch_.differential_decoding && d_shape != nullptr) {
       std::vector<float> d_start(size_of(rows, width), 0.0f);
       for (Index w = 0; w < wanted; ++w) {
-        const Index row = block.wanted[static_cast<std::size_t>(w)].row;
-        for (Index i = 0; i < width; ++i)
-          d_start[size_of(row, width) + static_cast<std::size_t>(i)] -=
-              d_features[size_of(w, width) + static_cast<std::size_t>(i)];
-        for (Index i = 0; i < z_; ++i)
-          dz[0][size_of(row, z_) + static_cast<std::size_t>(i)] -= d_code[size_of(w, z_) + static_cast<std::size_t>(i)];
-        add(d_shape + size_of(row, n), d_mean + size_of(w, n), static_cast<std::size_t>(n));
+        const Index row = block.wanted[w].row;
+        for (Index i = 0; i < width; ++i) d_start[size_of(row, width) + i] -= d_features[size_of(w, width) + i];
+        for (Index i = 0; i < z_; ++i) dz[0][size_of(row, z_) + i] -= d_code[size_of(w, z_) + i];
+        add(d_shape + size_of(row, n), d_mean + size_of(w, n), n);
       }
       kernels_.activate_pullback(d_start.size(), tape.start_pre.data(), d_start.data(), tanh());
       times_transposed(decoder_in_, rows, d_start.data(), width, dz[0].data(), z_, true);
@@ -278,9 +267,8 @@ void Network::decode_pullback(const Block& block, const Tape& tape, const float*
   kernels_.activate_pullback(d_features.size(), tape.decoder_pre.data(), d_features.data(), tanh());
   times_transposed(decoder_in_, wanted, d_features.data(), width, d_code.data(), z_, true);
   for (Index w = 0; w < wanted; ++w) {
-    const auto& one = block.wanted[static_cast<std::size_t>(w)];
-    add(dz[static_cast<std::size_t>(one.step)].data() + size_of(one.row, z_), d_code.data() + size_of(w, z_),
-        static_cast<std::size_t>(z_));
+    const auto& one = block.wanted[w];
+    add(dz[one.step].data() + size_of(one.row, z_), d_code.data() + size_of(w, z_), z_);
   }
 }
 
@@ -295,8 +283,7 @@ void Network::advance_pullback(const Block& block, const Tape& tape, std::vector
     const std::size_t first = size_of(tape.offset[at], hidden), count = size_of(m, hidden);
     float* g = dz[at + 1].data();
     for (Index r = 0; r < m; ++r)
-      normalise_derivative(g + size_of(r, z_), tape.z[at + 1].data() + size_of(r, z_),
-                           tape.norm[at + 1][static_cast<std::size_t>(r)]);
+      normalise_derivative(g + size_of(r, z_), tape.z[at + 1].data() + size_of(r, z_), tape.norm[at + 1][r]);
     std::copy_n(g, size_of(m, z_), d_update.data() + size_of(tape.offset[at], z_));
     const bool to_state = at > 0 || to_start;
     if (arch_.differential_latent && to_state) add(dz[at].data(), g, size_of(m, z_));
@@ -304,8 +291,7 @@ void Network::advance_pullback(const Block& block, const Tape& tape, std::vector
     times_transposed(out_h_, m, g, z_, d_pre[layers - 1].data() + first, hidden, true);
     for (std::size_t l = layers; l-- > 0;) {
       float* d = d_pre[l].data() + first;  // so far: the cotangent of the layer's output
-      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0)
-        add(d_pre[static_cast<std::size_t>(skip)].data() + first, d, count);
+      if (const Index skip = skip_of(l); skip >= 0) add(d_pre[skip].data() + first, d, count);
       kernels_.activate_pullback(count, tape.pre[l].data() + first, d, tanh());
       if (l > 0) {
         times_transposed(layer_h_[l], m, d, hidden, d_pre[l - 1].data() + first, hidden, true);
@@ -324,8 +310,7 @@ void Network::advance_pullback(const Block& block, const Tape& tape, std::vector
 void Network::encode_pullback(const Block& block, const Tape& tape, float* g, float* d_shape, float* d_change) const {
   const Index n = dim_.coordinates(), rows = block.rows;
   for (Index r = 0; r < rows; ++r)
-    normalise_derivative(g + size_of(r, z_), tape.z[0].data() + size_of(r, z_),
-                         tape.norm[0][static_cast<std::size_t>(r)]);
+    normalise_derivative(g + size_of(r, z_), tape.z[0].data() + size_of(r, z_), tape.norm[0][r]);
   if (arch_.pca_skip) times_transposed(project_, rows, g, z_, d_shape, n, true);
   std::vector<float> d_hidden(size_of(rows, arch_.encoder_hidden));
   times_transposed(encoder_out_, rows, g, z_, d_hidden.data(), arch_.encoder_hidden, false);
@@ -345,18 +330,18 @@ void Network::encode_pullback(const Block& block, const Tape& tape, float* g, fl
 void Network::jvp(const Block& block, const Tape& tape, const std::vector<Index>& base, const float* d_inputs,
                   float* d_mean, float* d_sigma) const {
   const Index n = dim_.coordinates(), hidden = arch_.hidden, u = dim_.inputs();
-  const auto directions = static_cast<Index>(base.size());
-  const auto most = static_cast<Index>(tape.running.size());
+  const Index directions = base.size();
+  const Index most = tape.running.size();
   const auto layers = layer_h_.size();
-  // Directions of rows that still run come first, since rows are ordered by descending steps and base ascends.
+  // Rows are ordered by descending steps and base ascends, so directions of rows that still run come first.
   std::vector<float> z(size_of(directions, z_), 0.0f);
   std::vector<std::vector<float>> history{z};
   std::vector<float> slope(size_of(directions, hidden));
   std::vector<std::vector<float>> post(layers, slope);
   Index offset = 0;
   for (Index j = 0; j < most; ++j) {
-    const auto at = static_cast<std::size_t>(j);
-    const auto m = static_cast<Index>(std::lower_bound(base.begin(), base.end(), tape.running[at]) - base.begin());
+    const std::size_t at = j;
+    const Index m = std::lower_bound(base.begin(), base.end(), tape.running[at]) - base.begin();
     const float* inputs = d_inputs + size_of(offset, u);
     const float* below = z.data();
     Index below_size = z_;
@@ -367,12 +352,11 @@ void Network::jvp(const Block& block, const Tape& tape, const std::vector<Index>
       if (layout_.layers[l].u >= 0) times(layer_u_[l], m, inputs, u, d, hidden, nullptr, false);
       times(layer_h_[l], m, below, below_size, d, hidden, nullptr, true);
       for (Index t = 0; t < m; ++t) {
-        std::copy_n(tape.pre[l].data() + size_of(tape.offset[at] + base[static_cast<std::size_t>(t)], hidden), hidden,
+        std::copy_n(tape.pre[l].data() + size_of(tape.offset[at] + base[t], hidden), hidden,
                     slope.data() + size_of(t, hidden));
       }
       kernels_.activate_pullback(count, slope.data(), d, tanh());
-      if (const Index skip = skip_of(static_cast<Index>(l)); skip >= 0)
-        add(d, post[static_cast<std::size_t>(skip)].data(), count);
+      if (const Index skip = skip_of(l); skip >= 0) add(d, post[skip].data(), count);
       below = d;
       below_size = hidden;
     }
@@ -381,35 +365,32 @@ void Network::jvp(const Block& block, const Tape& tape, const std::vector<Index>
     times(out_h_, m, below, hidden, next.data(), z_, nullptr, true);
     if (arch_.differential_latent) add(next.data(), z.data(), size_of(m, z_));
     for (Index t = 0; t < m; ++t) {
-      const Index row = base[static_cast<std::size_t>(t)];
+      const Index row = base[t];
       normalise_derivative(next.data() + size_of(t, z_), tape.z[at + 1].data() + size_of(row, z_),
-                           tape.norm[at + 1][static_cast<std::size_t>(row)]);
+                           tape.norm[at + 1][row]);
     }
     z = std::move(next);
     history.push_back(z);
     offset += m;
   }
 
-  std::vector<std::vector<Index>> of_row(static_cast<std::size_t>(block.rows));
-  for (std::size_t w = 0; w < block.wanted.size(); ++w)
-    of_row[static_cast<std::size_t>(block.wanted[w].row)].push_back(static_cast<Index>(w));
+  std::vector<std::vector<Index>> of_row(block.rows);
+  for (std::size_t w = 0; w < block.wanted.size(); ++w) of_row[block.wanted[w].row].push_back(w);
   std::vector<Index> source;
   std::vector<float> code;
   for (Index t = 0; t < directions; ++t) {
-    for (const Index w : of_row[static_cast<std::size_t>(base[static_cast<std::size_t>(t)])]) {
+    for (const Index w : of_row[base[t]]) {
       source.push_back(w);
-      const float* from =
-          history[static_cast<std::size_t>(block.wanted[static_cast<std::size_t>(w)].step)].data() + size_of(t, z_);
+      const float* from = history[block.wanted[w].step].data() + size_of(t, z_);
       code.insert(code.end(), from, from + z_);
     }
   }
-  const auto count = static_cast<Index>(source.size());
+  const Index count = source.size();
   const Index width = arch_.decoder_hidden;
   std::vector<float> features(size_of(count, width)), pre(size_of(count, width));
   times(decoder_in_, count, code.data(), z_, features.data(), width, nullptr, false);
   for (Index i = 0; i < count; ++i) {
-    std::copy_n(tape.decoder_pre.data() + size_of(source[static_cast<std::size_t>(i)], width), width,
-                pre.data() + size_of(i, width));
+    std::copy_n(tape.decoder_pre.data() + size_of(source[i], width), width, pre.data() + size_of(i, width));
   }
   kernels_.activate_pullback(features.size(), pre.data(), features.data(), tanh());
   times(mean_, count, features.data(), width, d_mean, n, nullptr, false);
@@ -417,8 +398,8 @@ void Network::jvp(const Block& block, const Tape& tape, const std::vector<Index>
   if (d_sigma == nullptr) return;
   times(sigma_, count, features.data(), width, d_sigma, n, nullptr, false);
   for (Index i = 0; i < count; ++i) {
-    const float* e = tape.sigma_exp.data() + size_of(source[static_cast<std::size_t>(i)], n);
-    for (Index c = 0; c < n; ++c) d_sigma[size_of(i, n) + static_cast<std::size_t>(c)] *= e[c];
+    const float* e = tape.sigma_exp.data() + size_of(source[i], n);
+    for (Index c = 0; c < n; ++c) d_sigma[size_of(i, n) + c] *= e[c];
   }
 }
 

@@ -23,7 +23,7 @@ struct Block {
   /// Rows that have a segment `step` (from 0).
   Index running(Index step) const {
     Index count = 0;
-    while (count < rows && steps[static_cast<std::size_t>(count)] > step) ++count;
+    while (count < rows && steps[count] > step) ++count;
     return count;
   }
   Index total() const { return std::accumulate(steps.begin(), steps.end(), Index{0}); }
@@ -36,22 +36,21 @@ class Network {
   explicit Network(const Model& model, const Kernels& kernels);
 
   struct Tape {
-    std::vector<Index> running, offset;  // per segment
-    std::vector<std::vector<float>> pre,
-        post;                              // per layer: [total, hidden] before and after the nonlinearity (and skip)
-    std::vector<std::vector<float>> z;     // per segment boundary: [rows, latent_size], normalised
-    std::vector<std::vector<float>> norm;  // per segment boundary: [rows], factor of the normalisation
-    std::vector<float> encoder_pre;        // [rows, encoder_hidden]
-    std::vector<float> decoder_pre;        // [wanted, decoder_hidden]
-    std::vector<float> start_pre;          // [rows, decoder_hidden], differential decoding
-    std::vector<float> sigma_exp;          // [wanted, coordinates]: e^s, 0 where s is at its upper end
+    std::vector<Index> running, offset;         // per segment
+    std::vector<std::vector<float>> pre, post;  // per layer: [total, hidden] before and after nonlinearity (and skip)
+    std::vector<std::vector<float>> z;          // per segment boundary: [rows, latent_size], normalised
+    std::vector<std::vector<float>> norm;       // per segment boundary: [rows], factor of the normalisation
+    std::vector<float> encoder_pre;             // [rows, encoder_hidden]
+    std::vector<float> decoder_pre;             // [wanted, decoder_hidden]
+    std::vector<float> start_pre;               // [rows, decoder_hidden], differential decoding
+    std::vector<float> sigma_exp;               // [wanted, coordinates]: e^s, 0 where s is at its upper end
   };
 
   /// @param mean, sigma [wanted, coordinates], normalised; sigma may be null.
   void forward(const Block& block, Tape& tape, float* mean, float* sigma) const;
   /// @param d_mean, d_sigma [wanted, coordinates], either may be null.
   /// @param d_inputs [total, inputs], overwritten.
-  /// @param d_shape, d_change [rows, coordinates], overwritten; both null: not computed, and the encoder is left out.
+  /// @param d_shape, d_change [rows, coordinates], overwritten; if both are null, the encoder's pullback is skipped.
   void pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma, float* d_inputs,
                 float* d_shape, float* d_change) const;
   /// Derivatives of mean and sigma along directions in the inputs. Direction t belongs to row `rows[t]`, ascending.
@@ -66,8 +65,8 @@ class Network {
   void encode(const Block& block, Tape& tape) const;
   void advance(const Block& block, Tape& tape) const;
   void decode(const Block& block, Tape& tape, float* mean, float* sigma) const;
-  // Their pullbacks. dz: cotangents of tape.z, of which [0] is that of the encoder's output.
-  /// Adds to dz and d_shape; without d_shape what reaches the encoder is left out.
+  // The pullbacks of these steps. dz: cotangents of tape.z; dz[0] is that of the encoder's output.
+  /// Adds to dz and d_shape. If d_shape is null, the part that reaches the encoder is skipped.
   void decode_pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma,
                        std::vector<std::vector<float>>& dz, float* d_shape) const;
   /// @param to_start whether dz[0] is wanted.
@@ -76,16 +75,14 @@ class Network {
   /// @param g dz[0]; overwritten. Adds to d_shape, overwrites d_change.
   void encode_pullback(const Block& block, const Tape& tape, float* g, float* d_shape, float* d_change) const;
 
-  /// A matrix, packed for products from the right with itself and with its transpose.
+  /// A matrix B, packed for the products A B and A B^T.
   struct Packed {
     Index k = 0, n = 0;
     std::vector<float> forward, backward;
   };
   Packed pack(const float* data, Index k, Index n) const;
   Packed pack(int weight) const;
-  const float* bias(int weight) const {
-    return weights_.data() + layout_.weights[static_cast<std::size_t>(weight)].offset;
-  }
+  const float* bias(int weight) const { return weights_.data() + layout_.weights[weight].offset; }
   /// C [m, n] (+)= A [m, k] B.
   void times(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc, const float* start,
              bool accumulate) const;

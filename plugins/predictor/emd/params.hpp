@@ -5,7 +5,7 @@
 
 namespace weft::emd {
 
-/// The network. Every piece that the EM*D papers name is a switch: each can be taken out, and its effect measured.
+/// The network. Each part that the EM*D papers name has a switch, so that its effect can be measured.
 struct Architecture {
   std::int64_t latent = 192;
   std::int64_t memory = 64;
@@ -37,13 +37,14 @@ struct Architecture {
       "Give control and knowledge to every layer of the module, not only to the first.");
     v("pca_skip", pca_skip, "Linear path around encoder and decoder on principal components of the shapes.");
     v("whitening", whitening, range(0, 1),
-      "How far principal components are brought to one scale; 1: all to unit variance.");
+      "How far the principal components are scaled to equal variance; 1: all to unit variance.");
     v("differential_latent", differential_latent, "The module emits the change of the latent state, not the state.");
     v("latent_normalisation", latent_normalisation, choice({"none", "memory", "all"}),
-      "Part of the latent state that a / sqrt(1 + |a|^2) is applied to after every segment.");
+      "Part of the latent state to which a / sqrt(1 + |a|^2) is applied after every segment.");
     v("differential_decoding", differential_decoding,
       "The decoder emits the change of the shape since the start, not the shape.");
-    v("previous_shape", previous_shape, "Use the shape one segment earlier, when there is one: it shows the velocity.");
+    v("previous_shape", previous_shape,
+      "Also use the shape one segment earlier, if there is one; it shows the velocity.");
     v("activation", activation, choice({"silu", "tanh"}), "Nonlinearity of all hidden layers.");
     v("sigma_floor_m", sigma_floor_m, range(1e-6, 0.01, "m"), "Least sigma of the decoder, before calibration.");
   }
@@ -91,7 +92,7 @@ struct Training {
     v("clip", clip, range(0, 1e6), "Largest norm of the gradient; 0: no limit.");
     v("votes", votes, range(1, 256), "SignSGD: parts of the batch whose gradient signs vote.");
     v("parts", parts, range(1, 256),
-      "Adam: parts of the batch whose gradients are taken side by side, as threads allow, and added in order.");
+      "Adam: parts of the batch whose gradients are computed in parallel and added in order.");
     v("batch", batch, range(1, 4096), "Examples per iteration.");
     v("iterations", iterations, range(1, 1e9), "Length of the training.");
     v("max_steps", max_steps, range(1, 200, "segments"), "Longest sub-sequence that is unrolled.");
@@ -104,12 +105,12 @@ struct Training {
     v("certain_share", certain_share, range(0, 1),
       "Share of the examples given exact knowledge (w = 0) instead of eq. 3's.");
     v("unknown_share", unknown_share, range(0, 1),
-      "Share of the examples given no knowledge, (0.5, 1): "
-      "planning and estimation start there, and eq. 3 almost never gives it.");
+      "Share of the examples given no knowledge, (0.5, 1): planning and estimation start there, but eq. 3 almost "
+      "never draws it.");
     v("beta", beta, range(0, 1), "beta-NLL: each term is weighted by sigma^(2 beta); 0: the plain likelihood.");
     v("average", average, range(0, 0.999999),
-      "Exponential moving average of the weights, which is what is evaluated and kept; 0: none.");
-    v("evaluate_every", evaluate_every, range(1, 1e9, "iterations"), "How often the validation loss is taken.");
+      "Exponential moving average of the weights; the averages are evaluated and kept; 0: none.");
+    v("evaluate_every", evaluate_every, range(1, 1e9, "iterations"), "How often the validation loss is computed.");
     v("evaluation_cases", evaluation_cases, range(1, 1e9), "Validation sub-sequences.");
     v("patience", patience, range(1, 1e9, "evaluations"),
       "SignSGD: halve the rate after this many in a row without a new best.");
@@ -118,12 +119,12 @@ struct Training {
     v("checkpoint_every", checkpoint_every, range(1, 1e9, "iterations"), "How often the state is saved, for resuming.");
     v("max_examples", max_examples, range(0, 1e9), "Train on the first n examples only (learning curves); 0: all.");
     v("half_precision", half_precision, "Store the weights as 16-bit numbers.");
-    v("calibrate", calibrate, "Scale sigma, per number of segments, to the errors on the validation split.");
+    v("calibrate", calibrate, "Calibrate sigma, per number of segments, to the errors on the validation split.");
     v("sigma_passes", sigma_passes, range(0, 1e6),
       "`weft calibrate`: how often each example is drawn to refit the decoder's sigma layer; 0: no refit.");
     v("sigma_tails", sigma_tails, range(0, 0.33),
-      "Share of the fourth moment of the errors in that refit: sigma is wider where they have heavy tails; "
-      "0: the plain likelihood.");
+      "Weight of the errors' fourth moment in that refit: sigma gets wider where errors have heavy tails; 0: the "
+      "plain likelihood.");
   }
 };
 
@@ -139,7 +140,7 @@ struct Params {
     v("model", model, "Model file of `weft train`; not needed for training.");
     v("other_fabric", other_fabric, choice({"refuse", "warn"}),
       "What to do when the task's material space is not the one of the training data.");
-    v("untrained", untrained, "Without a model file, take random weights: for timing and for tests, not for planning.");
+    v("untrained", untrained, "Without a model file, use random weights: for timing and tests, not for planning.");
     v.group("architecture", architecture, "The network, for training; a model file brings its own.");
     v.group("training", training, "How the network is fitted.");
   }

@@ -21,7 +21,7 @@ Sequence sample_sequence(std::size_t position, const Example& example, const Tra
   Sequence s;
   s.example = position;
   const bool from_start = random.uniform() < training.start_share;
-  const auto start = static_cast<Index>(random.below(static_cast<std::uint64_t>(example.segments())));
+  const Index start = random.below(static_cast<std::uint64_t>(example.segments()));
   s.start = from_start ? 0 : start;
   s.steps = std::min<Index>(example.segments() - s.start, training.max_steps);
   s.knowledge = sample_knowledge(example.q, training.certain_share, training.unknown_share, random);

@@ -20,8 +20,9 @@ struct Sequence {
 MaterialKnowledge sample_knowledge(const MaterialProperties& q, double certain_share, double unknown_share,
                                    RandomStream& random);
 
-/// What one iteration takes of an example: its start (`start_share`: the flat shape), the steps from there to the
-/// example's end or `max_steps`, knowledge, and `decoded_steps` of the shapes, the last one among them.
+/// Draws the sub-sequence of an example for one iteration. It starts at the flat shape (`start_share`) or anywhere. It
+/// runs to the example's end, or for `max_steps`. Draws also its knowledge and `decoded_steps` of its shapes, the last
+/// one among them.
 Sequence sample_sequence(std::size_t position, const Example& example, const Training& training, RandomStream& random);
 
 }  // namespace weft::emd

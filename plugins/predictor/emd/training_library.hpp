@@ -5,7 +5,7 @@
 
 namespace weft::emd {
 
-/// One fit, handed to the training library (libweft_emd_training.so): everything it needs, nothing it keeps.
+/// One fit for the training library (libweft_emd_training.so). The library keeps no reference to any of it.
 struct FitJob {
   const Dataset& dataset;
   const Task& task;
@@ -20,14 +20,14 @@ struct FitJob {
 /// Exported as "weft_emd_fit". @throws what TrainablePredictor::fit throws.
 using FitFunction = void (*)(FitJob& job);
 
-/// One calibration of a model, handed to the training library.
+/// One calibration of a model for the training library.
 struct CalibrationJob {
   const Dataset& dataset;
   const std::vector<std::size_t>& examples;  ///< positions in the dataset
   const Training& training;
   std::uint64_t seed;
   Host& host;
-  Model model;               ///< in; out: with another calibration and sigma layer, and the same in everything else
+  Model model;               ///< in and out; only its calibration and sigma layer change
   CalibrationReport report;  ///< out
 };
 /// Exported as "weft_emd_calibrate".
@@ -45,8 +45,8 @@ struct AutogradJob {
 /// Exported as "weft_emd_autograd".
 using AutogradFunction = void (*)(AutogradJob& job);
 
-/// The training library's function, loading the library beside this plugin on first use. Never unloaded: libtorch does
-/// not survive it. @throws Unsupported when weft was built without libtorch.
+/// A function of the training library. The first call loads the library, which lies beside this plugin. It is never
+/// unloaded, since libtorch does not survive that. @throws Unsupported when weft was built without libtorch.
 void* training_function(const char* name);
 
 }  // namespace weft::emd

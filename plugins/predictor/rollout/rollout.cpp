@@ -71,15 +71,14 @@ class RolloutPrediction final : public PlainPrediction {
         owner_(owner),
         cases_(cases),
         request_(request),
-        samples_(static_cast<std::size_t>(owner.params_.samples)) {
+        samples_(owner.params_.samples) {
     runs_.resize(cases_.size() * samples_);
     std::vector<std::string> errors(runs_.size());
     owner_.host_.parallel_for(static_cast<std::int64_t>(runs_.size()), [&](std::int64_t job) {
-      const auto at = static_cast<std::size_t>(job);
       try {
-        simulate(cases_[at / samples_], static_cast<Index>(at % samples_), runs_[at]);
+        simulate(cases_[job / samples_], job % samples_, runs_[job]);
       } catch (const Diverged& error) {
-        errors[at] = error.what();
+        errors[job] = error.what();
       }
     });
     early_.resize(cases_.size());
@@ -100,7 +99,7 @@ class RolloutPrediction final : public PlainPrediction {
 
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
     if (!request_.gradients) throw Unsupported("rollout: pullback needs a prediction made with gradients");
-    require_shape("rollout: cotangent cases", static_cast<Index>(cotangents.size()), static_cast<Index>(cases_.size()));
+    require_shape("rollout: cotangent cases", cotangents.size(), cases_.size());
     std::vector<CaseGradient> gradients(cases_.size());
     // One job per case and perturbed input; a job runs all samples of that case.
     struct Job {
@@ -111,8 +110,7 @@ class RolloutPrediction final : public PlainPrediction {
     for (std::size_t i = 0; i < cases_.size(); ++i) {
       const auto& one = cases_[i];
       gradients[i].controls = Controls::Zero(one.controls.rows(), one.controls.cols());
-      require_shape("rollout: cotangents of a case", static_cast<Index>(cotangents[i].size()),
-                    static_cast<Index>(one.segments.size()));
+      require_shape("rollout: cotangents of a case", cotangents[i].size(), one.segments.size());
       Index last = 0;
       for (std::size_t k = 0; k < cotangents[i].size(); ++k) {
         if (cotangents[i][k].mean.rows() > 0 || cotangents[i][k].sigma.rows() > 0) last = one.segments[k];
@@ -130,10 +128,10 @@ class RolloutPrediction final : public PlainPrediction {
     }
     std::vector<double> derivatives(jobs.size());
     owner_.host_.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
-      const auto& job = jobs[static_cast<std::size_t>(j)];
-      derivatives[static_cast<std::size_t>(j)] =
-          job.segment < 0 ? knowledge_derivative(job.instance, job.control, cotangents[job.instance])
-                          : control_derivative(job.instance, job.segment, job.control, cotangents[job.instance]);
+      const auto& job = jobs[j];
+      derivatives[j] = job.segment < 0
+                           ? knowledge_derivative(job.instance, job.control, cotangents[job.instance])
+                           : control_derivative(job.instance, job.segment, job.control, cotangents[job.instance]);
     });
     for (std::size_t j = 0; j < jobs.size(); ++j) {
       auto& gradient = gradients[jobs[j].instance];
@@ -151,7 +149,7 @@ class RolloutPrediction final : public PlainPrediction {
   std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
       const std::vector<std::vector<CaseDirection>>& directions) const override {
     if (!request_.gradients) throw Unsupported("rollout: jvp needs a prediction made with gradients");
-    require_shape("rollout: directions", static_cast<Index>(directions.size()), static_cast<Index>(cases_.size()));
+    require_shape("rollout: directions", directions.size(), cases_.size());
     std::vector<std::vector<std::vector<ShapeCotangent>>> result(cases_.size());
     std::vector<std::pair<std::size_t, std::size_t>> jobs;
     for (std::size_t i = 0; i < cases_.size(); ++i) {
@@ -164,7 +162,7 @@ class RolloutPrediction final : public PlainPrediction {
       }
     }
     owner_.host_.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
-      const auto [i, d] = jobs[static_cast<std::size_t>(j)];
+      const auto [i, d] = jobs[j];
       result[i][d] =
           failures_[i].empty() ? jvp(i, directions[i][d]) : std::vector<ShapeCotangent>(cases_[i].segments.size());
     });
@@ -172,14 +170,14 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
  private:
-  /// Of the first `last` segments of a case those whose controls move anything: up to its release.
+  /// Number of segments among the first `last` of a case whose controls have an effect: those up to its release.
   Index active_segments(std::size_t i, Index last) const {
     const Index release = runs_[i * samples_].release;
     return release > 0 ? std::min(last, release) : last;
   }
 
-  /// Change of every requested shape along a direction, by differences whose step moves no control by more than `step`
-  /// scales and no knowledge by more than `knowledge_step`.
+  /// Change of every requested shape along a direction, by finite differences. The step moves no control by more than
+  /// `step` scales and no knowledge by more than `knowledge_step`.
   std::vector<ShapeCotangent> jvp(std::size_t i, const CaseDirection& direction) const {
     const auto& one = cases_[i];
     const auto variables = owner_.task_.trajectory->controls();
@@ -190,7 +188,7 @@ class RolloutPrediction final : public PlainPrediction {
     for (Index j = active - 1; j >= 0; --j) {
       for (Index c = 0; c < one.controls.cols(); ++c) {
         if (direction.controls(j, c) == 0.0) continue;
-        const double scale = variables[static_cast<std::size_t>(c)].scale;
+        const double scale = variables[c].scale;
         largest = std::max(largest, std::abs(direction.controls(j, c)) / (owner_.params_.step * scale));
         from = std::min(from, j);
       }
@@ -231,7 +229,7 @@ class RolloutPrediction final : public PlainPrediction {
     };
     const auto variables = owner_.task_.trajectory->controls();
     for (Index c = 0; c < one.controls.cols(); ++c) {
-      const auto& v = variables[static_cast<std::size_t>(c)];
+      const auto& v = variables[c];
       for (Index j = 0; j < one.controls.rows(); ++j) {
         const double moved = one.controls(j, c) + step * direction.controls(j, c);
         if (direction.controls(j, c) != 0.0 && (moved < v.lower || moved > v.upper)) return false;
@@ -249,14 +247,15 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
   /// Simulates from the start of `from` (0-based segment; its snapshot must be taken) to the last requested segment.
-  /// @param settle_frames of a perturbed run. @param record the unperturbed run, which settles to the end.
+  /// @param settle_frames frames of settling in a perturbed run. @param record true for the unperturbed run, which
+  /// settles to the end.
   void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state,
                Index release, Index settle_frames, std::vector<Positions>& shapes, Run* record) const {
     const auto& task = owner_.task_;
     const auto& trajectory = *task.trajectory;
     const Index last = one.segments.empty() ? 0 : one.segments.back();
     for (Index j = from; j < last; ++j) {
-      if (release > 0 && j >= release) {  // meaningless segments after the release (section 4): the settled shape stays
+      if (release > 0 && j >= release) {  // segments after the release have no effect (section 4)
         shapes.push_back(shapes.back());
         if (record) record->early.push_back(record->early.back());
         continue;
@@ -305,7 +304,7 @@ class RolloutPrediction final : public PlainPrediction {
     std::vector<ShapeDistribution> result;
     const double n = static_cast<double>(sampled.size());
     for (const Index segment : one.segments) {
-      const auto at = static_cast<std::size_t>(segment - 1);
+      const std::size_t at = segment - 1;
       ShapeDistribution distribution;
       distribution.mean = (*sampled.front())[at];
       for (std::size_t s = 1; s < sampled.size(); ++s) distribution.mean += (*sampled[s])[at];
@@ -332,7 +331,7 @@ class RolloutPrediction final : public PlainPrediction {
     return sum;
   }
 
-  /// Shapes of a case under other controls, which equal its own before segment `from`, and under other knowledge.
+  /// Shapes of a case with other controls, equal to its own before segment `from`, and with other knowledge.
   std::vector<ShapeDistribution> perturbed(std::size_t i, const Controls& controls, Index from,
                                            const MaterialKnowledge& knowledge) const {
     const auto& one = cases_[i];
@@ -342,17 +341,17 @@ class RolloutPrediction final : public PlainPrediction {
     const Lease lease(owner_);
     for (std::size_t s = 0; s < samples_; ++s) {
       const Run& run = runs_[i * samples_ + s];
-      const auto material = same_material ? run.material : owner_.material(knowledge, static_cast<Index>(s));
+      const auto material = same_material ? run.material : owner_.material(knowledge, s);
       owner_.start(*lease, one, material);
       Vector state = one.state;
       Index first = 0;
       if (same_material && !run.snapshots.empty()) {
-        (*lease).restore(*run.snapshots[static_cast<std::size_t>(from)]);
-        state = run.states[static_cast<std::size_t>(from)];
+        (*lease).restore(*run.snapshots[from]);
+        state = run.states[from];
         first = from;
         shapes[s].assign(run.shapes.begin(), run.shapes.begin() + from);
       }
-      // As many frames as the unperturbed run: what differs is then the controls' doing alone.
+      // As many frames as the unperturbed run, so that only the controls make a difference.
       advance(*lease, one, controls, first, state, run.release, run.early_frames, shapes[s], nullptr);
       sampled.push_back(&shapes[s]);
     }
@@ -369,7 +368,7 @@ class RolloutPrediction final : public PlainPrediction {
 
   double control_derivative(std::size_t i, Index segment, Index control,
                             const std::vector<ShapeCotangent>& cotangents) const {
-    const auto variable = owner_.task_.trajectory->controls()[static_cast<std::size_t>(control)];
+    const auto variable = owner_.task_.trajectory->controls()[control];
     double step = owner_.params_.step * variable.scale;
     // Step inwards where the control stands at its upper bound.
     if (cases_[i].controls(segment, control) + step > variable.upper) step = -step;
@@ -392,8 +391,7 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
   double knowledge_derivative(std::size_t i, Index entry, const std::vector<ShapeCotangent>& cotangents) const {
-    if (entry >= 4 && samples_ == 1)
-      return 0.0;  // a single sample sits in the middle of the interval, whatever its width
+    if (entry >= 4 && samples_ == 1) return 0.0;  // a single sample sits in the middle of an interval of any width
     const auto& knowledge = cases_[i].knowledge;
     const double value = entry < 4 ? knowledge.centre(entry) : knowledge.width(entry - 4);
     double step = owner_.params_.knowledge_step;
@@ -415,7 +413,7 @@ class RolloutPrediction final : public PlainPrediction {
   PredictionRequest request_;
   std::size_t samples_;
   std::vector<Run> runs_;                              // [cases * samples]
-  std::vector<std::vector<ShapeDistribution>> early_;  // what differences are taken from
+  std::vector<std::vector<ShapeDistribution>> early_;  // unperturbed shapes of the differences
 };
 
 RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
@@ -431,7 +429,7 @@ void RolloutPredictor::bind(const Task& task) {
     const std::lock_guard lock(pool_mutex_);
     pool_.clear();
   }
-  const Lease first(*this);  // a wrong simulator shows here and not in the first plan
+  const Lease first(*this);  // reports a wrong simulator now, not in the first plan
   has_snapshots_ = (*first).capabilities().snapshots;
   task_ = task;
 }

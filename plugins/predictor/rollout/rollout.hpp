@@ -23,25 +23,25 @@ struct Params {
   template <class Visitor>
   void visit(Visitor& v) {
     v("simulator", simulator, PluginSlot{"simulator"}, "Simulator used as the forward model; default: the task's.");
-    v("sigma_m", sigma_m, range(1e-6, 1, "m"),
-      "Declared noise level: standard deviation that a prediction has at least.");
+    v("sigma_m", sigma_m, range(1e-6, 1, "m"), "Declared noise level: least standard deviation of a prediction.");
     v("samples", samples, range(1, 1024),
-      "Materials drawn from the knowledge interval; 1: the interval's middle only, sigma is the noise level.");
+      "Materials drawn from the knowledge interval; 1: only its middle, and sigma is the noise level.");
     v("step", step, range(1e-4, 10), "Finite-difference step of controls, in units of each control's scale.");
-    v("difference", difference, choice({"forward", "central"}), "Finite differences of controls and knowledge.");
+    v("difference", difference, choice({"forward", "central"}),
+      "Scheme of the finite differences of controls and knowledge.");
     v("knowledge_step", knowledge_step, range(1e-4, 0.5), "Finite-difference step of centre and width.");
     v("difference_settle_frames", difference_settle_frames, range(0, 100000, "frames"),
-      "Frames after the release at which differences are taken: perturbed runs end there; 0: settled like the others.");
-    v("carry_velocity", carry_velocity, "Start with the mean velocity since the previous shape, when there is one.");
+      "Frames after the release at which a perturbed run ends and is compared; 0: it settles like the others.");
+    v("carry_velocity", carry_velocity, "Start with the mean velocity since the previous shape, if there is one.");
   }
 };
 
-/// The simulator itself as forward model. One simulation per case and material sample, in parallel; gradients by finite
-/// differences: the perturbed runs keep the material samples (common random numbers) and start from snapshots of the
-/// unperturbed run taken at the start of each segment, so only what a perturbation changes is simulated again.
-/// The release segment of a perturbed run is that of the unperturbed one, as in eq. 5, where u is fixed for the
-/// gradient. Settling takes longer than the fold itself, so perturbed runs end soon after the release and are compared
-/// with the unperturbed one at that moment: shapes are exact, derivatives those of the shape before it has settled.
+/// The simulator itself as forward model, with one simulation per case and material sample, in parallel. Gradients come
+/// from finite differences. Perturbed runs keep the material samples (common random numbers). They start from snapshots
+/// of the unperturbed run at the start of each segment, so that segments before the perturbation are not simulated
+/// again. A perturbed run releases in the same segment as the unperturbed one, as in eq. 5, where u is fixed for the
+/// gradient. Settling takes longer than the fold itself. So perturbed runs end soon after the release and are compared
+/// with the unperturbed run at that moment: shapes are exact, derivatives are those of the shape before it has settled.
 class RolloutPredictor final : public Predictor {
  public:
   RolloutPredictor(const Params& params, Host& host);

@@ -44,9 +44,9 @@ struct Output {
   Tensor mean, sigma;
 };
 
-/// forward() with the metadata's normalisation around it. As part of the graph it is differentiated along with the
-/// rest.
-/// @throws Error naming what the module gave and what it has to give.
+/// forward() with the metadata's normalisation around it. The normalisation is part of the graph, so autograd
+/// differentiates it, too.
+/// @throws Error with the returned and the required result.
 Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>& inputs) {
   const double unit = bound.metadata.length_unit_m;
   const auto length = [&](const Tensor& x) { return unit == 1.0 ? x : x / unit; };
@@ -55,7 +55,7 @@ Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>&
   c10::IValue result;
   try {
     result = bound.module.forward(values);
-  } catch (const std::exception& error) {  // libtorch's own, and what the module's code throws
+  } catch (const std::exception& error) {  // from libtorch, or from the module's code
     const std::string text = error.what();
     throw Error(bound.name + ": forward() failed: " + text.substr(0, 400));
   }
@@ -77,11 +77,11 @@ Output call(const TorchScriptPredictor::Bound& bound, const std::vector<Tensor>&
   return out;
 }
 
-/// Cases of one length in one pass. Every case of the batch has its row there, whatever its length and whether it is
-/// wanted, so that the bits of a case depend on its row and the number of rows only: products of other sizes take other
-/// kernels. A case that runs alone has row 0.
+/// Cases of one length in one pass. Every case of the batch has a row there, even if its length is another one or it is
+/// not requested. So the bits of a case depend only on its row and the number of rows; products of other sizes would
+/// use other kernels. A case that runs alone has row 0.
 struct Group {
-  std::vector<std::size_t> cases;  ///< that belong here; the other rows hold the first of them
+  std::vector<std::size_t> cases;  ///< of this group; all other rows repeat the first of them
   std::size_t rows = 1;
   std::size_t row(std::size_t i) const { return rows == 1 ? 0 : i; }
   std::vector<Tensor> inputs;
@@ -100,7 +100,7 @@ class TorchPrediction final : public PlainPrediction {
       has_previous_.push_back(cases[i].previous != nullptr);
       segments_.push_back(cases[i].segments);
       if (cases[i].segments.empty()) continue;
-      // Together, to the end of the controls: how far others are wanted must not change the pass.
+      // All cases run to the end of their controls, so that the pass does not depend on the steps that others request.
       if (batch)
         groups[{cases[i].controls.rows(), 0}].cases.push_back(i);
       else
@@ -115,16 +115,14 @@ class TorchPrediction final : public PlainPrediction {
 
   std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
     if (!request_.gradients) throw Unsupported("torchscript: pullback needs a prediction made with gradients");
-    require_shape("torchscript: cotangent cases", static_cast<Index>(cotangents.size()),
-                  static_cast<Index>(shapes_.size()));
+    require_shape("torchscript: cotangent cases", cotangents.size(), shapes_.size());
     const Index v = bound_->task.garment->vertex_count();
     std::vector<CaseGradient> gradients(shapes_.size());
     for (std::size_t i = 0; i < gradients.size(); ++i) {
       gradients[i].controls = Controls::Zero(controls_[i].rows(), controls_[i].cols());
       gradients[i].state = Vector::Zero(start_[i].size());
       if (request_.shape_gradients) gradients[i].shape = Positions::Zero(v, 3);
-      require_shape("torchscript: cotangents of a case", static_cast<Index>(cotangents[i].size()),
-                    static_cast<Index>(segments_[i].size()));
+      require_shape("torchscript: cotangents of a case", cotangents[i].size(), segments_[i].size());
       for (const auto& c : cotangents[i]) {
         for (const auto* p : {&c.mean, &c.sigma})
           if (p->rows() > 0) require_shape("torchscript: cotangent rows", p->rows(), v);
@@ -140,7 +138,7 @@ class TorchPrediction final : public PlainPrediction {
   }
 
  private:
-  /// Of Group::inputs: the start shape and the one before it.
+  /// Places in Group::inputs of the start shape and of the shape before it.
   static bool is_shape(std::size_t input) { return input == 0 || input == 4; }
 
   void run(const std::vector<PredictionCase>& cases, Group& group, Index k) {
@@ -161,7 +159,7 @@ class TorchPrediction final : public PlainPrediction {
     std::vector<std::size_t> held(group.rows, group.cases.front());
     for (const std::size_t i : group.cases) held[group.row(i)] = i;
     for (std::int64_t r = 0; r < b; ++r) {
-      const auto& one = cases[held[static_cast<std::size_t>(r)]];
+      const auto& one = cases[held[r]];
       fill(shape, r, one.shape->data(), one.shape->size());
       fill(previous, r, (one.previous ? one.previous : one.shape)->data(), one.shape->size());
       const Controls used = one.controls.topRows(k);
@@ -186,7 +184,7 @@ class TorchPrediction final : public PlainPrediction {
     }
     const Tensor mean = group.output.mean.detach().contiguous(), sigma = group.output.sigma.detach().contiguous();
     for (const std::size_t i : group.cases) {
-      const auto r = static_cast<Index>(group.row(i));
+      const Index r = group.row(i);
       for (const Index segment : segments_[i]) {
         const auto read = [&](const Tensor& t) {
           Positions p(v, 3);
@@ -238,13 +236,12 @@ class TorchPrediction final : public PlainPrediction {
       if (t.requires_grad()) inputs.push_back(t);
     const auto grads = torch::autograd::grad(outputs, inputs, seeds, /*retain_graph=*/true, /*create_graph=*/false,
                                              /*allow_unused=*/true);
-    std::vector<Tensor> of_input(group.inputs.size());  // undefined: not asked for, or it moves nothing
+    std::vector<Tensor> of_input(group.inputs.size());  // undefined: not requested, or without effect
     for (std::size_t input = 0, next = 0; input < of_input.size(); ++input)
       if (group.inputs[input].requires_grad()) of_input[input] = grads[next++];
     const auto row = [&](std::size_t input, std::size_t r) -> std::vector<double> {
       if (input >= of_input.size() || !group.inputs[input].requires_grad()) return {};
-      if (!of_input[input].defined())
-        return std::vector<double>(static_cast<std::size_t>(group.inputs[input][0].numel()), 0.0);
+      if (!of_input[input].defined()) return std::vector<double>(group.inputs[input][0].numel(), 0.0);
       const Tensor t = of_input[input][static_cast<std::int64_t>(r)].to(at::kDouble).contiguous();
       return {t.data_ptr<double>(), t.data_ptr<double>() + t.numel()};
     };
@@ -255,13 +252,13 @@ class TorchPrediction final : public PlainPrediction {
       const auto d_shape = row(0, r), d_states = row(1, r), d_controls = row(2, r), d_knowledge = row(3, r),
                  d_previous = row(4, r);
       for (Index x = 0; x < g.shape.size(); ++x) {
-        g.shape.data()[x] = d_shape[static_cast<std::size_t>(x)];
+        g.shape.data()[x] = d_shape[x];
         // Without an earlier shape the module was given the start shape twice.
-        if (!d_previous.empty() && !has_previous_[i]) g.shape.data()[x] += d_previous[static_cast<std::size_t>(x)];
+        if (!d_previous.empty() && !has_previous_[i]) g.shape.data()[x] += d_previous[x];
       }
       for (Index p = 0; p < 4; ++p) {
-        g.centre(p) = d_knowledge[static_cast<std::size_t>(p)];
-        g.width(p) = d_knowledge[static_cast<std::size_t>(p + 4)];
+        g.centre(p) = d_knowledge[p];
+        g.width(p) = d_knowledge[p + 4];
       }
       // Controls act directly and through the states after every segment.
       const Index s = g.state.size(), c = g.controls.cols();
@@ -335,12 +332,12 @@ void require_task(const Metadata& m, const std::string& file, const Task& task) 
                         ", above control_high = " + number(high));
     }
     if (low > v.upper || high < v.lower)
-      refuse("range of " + v.name, numbers({low, high}), numbers({v.lower, v.upper}) + ", apart from it");
+      refuse("range of " + v.name, numbers({low, high}), numbers({v.lower, v.upper}) + ", without overlap");
   }
 }
 
 /// Reads bound.name into bound.module, for inference.
-/// @throws ConfigError when it is no such file, or forward() does not take and return what it must.
+/// @throws ConfigError when it is not a TorchScript file, or forward() has other arguments or results than required.
 void load_module(TorchScriptPredictor::Bound& bound) {
   try {
     bound.module = torch::jit::load(bound.name, at::kCPU);
@@ -348,7 +345,7 @@ void load_module(TorchScriptPredictor::Bound& bound) {
     for (const auto& parameter : bound.module.parameters()) parameter.set_requires_grad(false);
   } catch (const std::exception& error) {  // libtorch reports damaged files in many ways
     const std::string text = error.what();
-    throw ConfigError(bound.name + ": is no TorchScript file, or is damaged: " + text.substr(0, 300));
+    throw ConfigError(bound.name + ": is not a TorchScript file, or is damaged: " + text.substr(0, 300));
   }
   const auto& m = bound.metadata;
   const auto method = bound.module.find_method("forward");
@@ -363,8 +360,7 @@ void load_module(TorchScriptPredictor::Bound& bound) {
   const auto zeros = [](std::vector<std::int64_t> sizes) {
     return at::zeros(sizes, at::TensorOptions().dtype(at::kFloat));
   };
-  const auto v = bound.task.garment->vertex_count(), s = static_cast<Index>(m.states.size()),
-             c = static_cast<Index>(m.controls.size());
+  const Index v = bound.task.garment->vertex_count(), s = m.states.size(), c = m.controls.size();
   const Index k = std::min<Index>(2, m.max_segments);
   std::vector<Tensor> inputs = {zeros({2, v, 3}), zeros({2, k + 1, s}), zeros({2, k, c}), zeros({2, 8})};
   if (m.previous) inputs.push_back(zeros({2, v, 3}));
@@ -412,18 +408,16 @@ void TorchScriptPredictor::bind(const Task& task) {
 
 void TorchScriptPredictor::check_material(const Metadata& m, const std::string& file, const Task& task) const {
   if (m.material.is_null()) {
-    host_.log(LogLevel::warning, file +
-                                     ": has no material, so that nothing says for which fabrics "
-                                     "the module's properties in [0, 1] stand");
+    host_.log(LogLevel::warning,
+              file + ": has no material: for which fabrics the module's properties in [0, 1] stand is unknown");
     return;
   }
   if (write_material_space(read_material_space(m.material)).to_yaml() == write_material_space(task.material).to_yaml())
     return;
-  const std::string text = file +
-                           ": material is another space than the task's: the module's properties in [0, 1] stand for "
-                           "other fabrics";
+  const std::string text =
+      file + ": material is another space than the task's: the same properties in [0, 1] mean other fabrics";
   if (params_.other_fabric != "warn")
-    throw ConfigError(text + " (predictor.params.other_fabric: warn uses it all the same)");
+    throw ConfigError(text + " (predictor.params.other_fabric: warn uses the module anyway)");
   host_.log(LogLevel::warning, text);
 }
 
@@ -435,7 +429,7 @@ const TorchScriptPredictor::Bound& TorchScriptPredictor::require_bound(const cha
 std::optional<Box> TorchScriptPredictor::control_range() const {
   const auto& m = require_bound("control_range").metadata;
   if (m.control_low.empty()) return std::nullopt;
-  const auto size = static_cast<Index>(m.control_low.size());
+  const Index size = m.control_low.size();
   return Box{Eigen::Map<const Vector>(m.control_low.data(), size),
              Eigen::Map<const Vector>(m.control_high.data(), size)};
 }

@@ -18,17 +18,18 @@ struct Params {
   template <class Visitor>
   void visit(Visitor& v) {
     v("module", module, "TorchScript file (torch.jit.save).");
-    v("metadata", metadata, "What it was trained for, YAML; default: the module's name with .yaml.");
+    v("metadata", metadata,
+      "YAML file of the task that the module was made for; default: the module's name with .yaml.");
     v("other_fabric", other_fabric, choice({"refuse", "warn"}),
       "What to do when the task's material space is not the one of the training data.");
     v("batch", batch,
-      "Run cases of one length together, to the end of their controls. False: one by one, so that a case never depends "
-      "on its batch.");
-    v("threads", threads, range(0, 1024), "Threads of libtorch; 0: those of the program.");
+      "Run cases of one length together, to the end of their controls. False: run them one by one, so that a case "
+      "never depends on its batch.");
+    v("threads", threads, range(0, 1024), "Threads of libtorch; 0: as many as the program has.");
   }
 };
 
-/// The metadata file: for which task the module is, read like any config.
+/// The metadata file: the task that the module was made for. It is read like any config.
 struct Metadata {
   std::string garment_hash;
   std::vector<std::string> controls, states;
@@ -48,11 +49,11 @@ struct Metadata {
     v("grasp_vertices", grasp_vertices, range(0, 1e9), "Vertices that the hands hold.");
     v("displacement_m", displacement_m, range(-10, 10, "m"), "d, [x, y].");
     v("drop_height_m", drop_height_m, range(0, 1, "m"), "h.");
-    v("material", material, "Material space of the training data; not given: not compared, with a warning.");
+    v("material", material, "Material space of the training data; without it nothing is compared, and weft warns.");
     v("control_low", control_low, range(-1e9, 1e9),
       "Least value of each control in the training data; plans stay above.");
     v("control_high", control_high, range(-1e9, 1e9), "Largest value of each control in the training data.");
-    v("max_segments", max_segments, range(1, 1000, "segments"), "Longest controls that the module takes.");
+    v("max_segments", max_segments, range(1, 1000, "segments"), "Largest number of segments that the module takes.");
     v("previous", previous, "forward() takes the shape one segment earlier as fifth argument.");
     v("length_unit_m", length_unit_m, range(1e-6, 1e6, "m"), "Unit of all lengths that the module takes and returns.");
     v("control_mean", control_mean, range(-1e9, 1e9), "The module takes (control - control_mean) / control_sd.");
@@ -65,8 +66,7 @@ struct Metadata {
 /// Any exported PyTorch module as predictor:
 ///     forward(shape [B, V, 3] m, states [B, k + 1, S], controls [B, k, C], knowledge [B, 8][, previous [B, V, 3] m])
 ///         -> (mean [B, k, V, 3] m, sigma [B, k, V, 3] m), float32; knowledge = centre, width
-/// in the metadata's normalisation, where it has one. Derivatives by autograd. Loading a module runs code of whoever
-/// made it.
+/// in the metadata's normalisation, if it has one. Derivatives by autograd. Loading a module runs its author's code.
 class TorchScriptPredictor final : public Predictor {
  public:
   TorchScriptPredictor(const Params& params, Host& host);

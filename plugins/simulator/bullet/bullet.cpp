@@ -17,17 +17,17 @@ static_assert(sizeof(btScalar) == sizeof(double), "build with BT_USE_DOUBLE_PREC
 namespace weft::bullet {
 namespace {
 
-// Rest length of a strut over its length in the flat sheet. Bullet's link pushes with x (R^2 - x^2) / (R^2 + x^2), x
-// being its length over flat: with this R it stays within 12 % of the push that a hinge linear in its angle wants, up
-// to 120 degrees.
+// Rest length of a strut over its length in the flat sheet, R. At x times its flat length Bullet's link pushes with
+// x (R^2 - x^2) / (R^2 + x^2). With this R the push stays within 12 % of that of a hinge linear in its angle, up to
+// 120 degrees.
 constexpr double kStrutRatio = 1.5;
-// A strut's k dt^2 w is at most this part of link_step: nothing balances a strut within its own pass over the links, as
-// edges are (update_compliance). A strip whose struts had 0.24 trembled at 90 mm/s, with 0.15 it came to rest.
+// A strut's k dt^2 w is at most this part of link_step. Edges balance one another within a pass over the links
+// (update_compliance), but nothing balances a strut. A strip trembled at 90 mm/s with 0.24 and came to rest with 0.15.
 constexpr double kStrutStep = 0.3;
-// Largest share of the edges that may be stiffened to carry bending. With 26 %, the softest and thickest T-shirt, cloth
-// comes to rest; strips with 69 % and more buzzed at metres per second, and stretched like another fabric.
+// Largest share of the edges that may be stiffened to carry bending. With 26 % (the softest and thickest T-shirt) cloth
+// comes to rest. Strips with 69 % and more vibrated at metres per second and stretched like another fabric.
 constexpr double kMostRaised = 0.5;
-// Speeds above this are a run that has left physics, m/s.
+// m/s; a vertex above this speed means that the simulation has diverged.
 constexpr double kAbsurdSpeed = 1e6;
 
 /// Force of a strut over k L in the flat sheet, k being its stiffness there: Bullet's link pulls with
@@ -43,8 +43,8 @@ btVector3 vector(const Positions& x, Index row) { return {x(row, 0), x(row, 1), 
 Eigen::Vector3d vector(const btVector3& a) { return {a.x(), a.y(), a.z()}; }
 btVector3 vector(const Eigen::Vector3d& a) { return {a.x(), a.y(), a.z()}; }
 
-/// A fixed order without order. A sweep along the mesh would meet every link with the load on one side of it solved and
-/// on the other side not, and bias all of them alike.
+/// A fixed order without a pattern. A sweep along the mesh would meet every link with the load on one side already
+/// solved, which would bias all links in the same way.
 std::vector<std::size_t> shuffled(std::size_t count) {
   std::vector<std::size_t> order(count);
   std::iota(order.begin(), order.end(), std::size_t{0});
@@ -89,7 +89,7 @@ class Bullet::World {
     // All contact is that of contact.hpp; none of Bullet's own passes runs.
     body_->m_cfg.collisions = 0;
     body_->setActivationState(DISABLE_DEACTIVATION);
-    // Bullet would take the present shape as the rest shape at the next step.
+    // Otherwise Bullet would take the current shape as the rest shape at the next step.
     body_->m_bUpdateRtCst = false;
     world_.addSoftBody(body.release());
 
@@ -119,7 +119,7 @@ class Bullet::World {
     compliance_is_current_ = false;
   }
 
-  /// One frame; the held vertices go in straight lines to their targets.
+  /// Advances by one frame. The held vertices move in straight lines to their targets.
   void step(const std::vector<Index>& held, const Positions& targets, double drag) {
     held_ = &held;
     targets_ = &targets;
@@ -128,7 +128,7 @@ class Bullet::World {
   }
 
  private:
-  /// The place that Bullet gives to a soft body's integration: called by the world once a step.
+  /// Bullet's hook for integrating soft bodies, which the world calls once a step.
   class Solver final : public btDefaultSoftBodySolver {
    public:
     explicit Solver(World& world) : owner_(world) {}
@@ -157,25 +157,25 @@ class Bullet::World {
     laws_.push_back({k, strut});
   }
 
-  /// m_c0 from compliance and the present masses.
+  /// m_c0 from compliance and the current masses.
   void update_compliance() {
     const double dt = substep_.seconds;
     for (int e = 0; e < body_->m_links.size(); ++e) {
       btSoftBody::Link& link = body_->m_links[e];
       const double w = link.m_n[0]->m_im + link.m_n[1]->m_im;
-      const double compliance = 1.0 / (laws_[static_cast<std::size_t>(e)].stiffness * dt * dt);
+      const double compliance = 1.0 / (laws_[e].stiffness * dt * dt);
       // Not below w: half a link too stiff for the step would overshoot.
-      link.m_c0 = laws_[static_cast<std::size_t>(e)].strut ? compliance : std::max(compliance + 0.5 * w, w);
+      link.m_c0 = laws_[e].strut ? compliance : std::max(compliance + 0.5 * w, w);
     }
     compliance_is_current_ = true;
   }
 
-  /// Stiffness-proportional damping along the links: VSolve_Links takes c3 (c3 . dv) c2 out of the velocities.
+  /// Stiffness-proportional damping along the links: VSolve_Links subtracts c3 (c3 . dv) c2 from the velocities.
   void damp() {
     const double dt = substep_.seconds;
     for (int e = 0; e < body_->m_links.size(); ++e) {
       btSoftBody::Link& link = body_->m_links[e];
-      const LinkLaw& law = laws_[static_cast<std::size_t>(e)];
+      const LinkLaw& law = laws_[e];
       link.m_c3 = link.m_n[1]->m_x - link.m_n[0]->m_x;
       const double rate = law.strut ? 0.0 : damping_ * law.stiffness * dt, w = link.m_n[0]->m_im + link.m_n[1]->m_im;
       link.m_c2 = rate / ((1.0 + rate * w) * std::max(link.m_c3.length2(), 1e-30));
@@ -185,7 +185,7 @@ class Bullet::World {
 
   void substeps() {
     if (!compliance_is_current_) update_compliance();
-    const auto n = static_cast<std::size_t>(body_->m_nodes.size());
+    const std::size_t n = body_->m_nodes.size();
     const double dt = substep_.seconds;
     const btVector3 gain = dt * btVector3(scene_.gravity.x(), scene_.gravity.y(), scene_.gravity.z());
     const double keep = 1.0 / (1.0 + dt * drag_);
@@ -195,7 +195,7 @@ class Bullet::World {
     for (Index s = 1; s <= substeps_; ++s) {
       if (damping_ > 0.0) damp();
       for (std::size_t i = 0; i < n; ++i) {
-        auto& node_i = node(static_cast<Index>(i));
+        auto& node_i = node(i);
         node_i.m_q = node_i.m_x;
         if (node_i.m_im == 0.0) continue;
         node_i.m_v = keep * (node_i.m_v + gain);
@@ -203,28 +203,28 @@ class Bullet::World {
       }
       const double part = static_cast<double>(s) / static_cast<double>(substeps_);
       for (std::size_t k = 0; k < held_->size(); ++k) {
-        const btVector3 target = vector(*targets_, static_cast<Index>(k));
+        const btVector3 target = vector(*targets_, k);
         node((*held_)[k]).m_x = s == substeps_ ? target : begin_[k] + part * (target - begin_[k]);
       }
       btSoftBody::PSolve_Links(body_, 1.0, 0.0);
       for (std::size_t i = 0; i < n; ++i) {
-        substep_.start[i] = vector(node(static_cast<Index>(i)).m_q);
-        substep_.end[i] = vector(node(static_cast<Index>(i)).m_x);
+        substep_.start[i] = vector(node(i).m_q);
+        substep_.end[i] = vector(node(i).m_x);
       }
       contact_.resolve(substep_, passes_);
       double sum = 0.0;
       for (std::size_t i = 0; i < n; ++i) {
-        auto& node_i = node(static_cast<Index>(i));
+        auto& node_i = node(i);
         if (node_i.m_im != 0.0) {
           node_i.m_x = vector(substep_.end[i]);
           node_i.m_v = (node_i.m_x - node_i.m_q) / dt;
         }
         sum += node_i.m_v.length2();
       }
-      if (!(sum < kAbsurdSpeed * kAbsurdSpeed)) return;  // advance_frame() finds it
+      if (!(sum < kAbsurdSpeed * kAbsurdSpeed)) return;  // advance_frame() reports it
     }
     for (std::size_t k = 0; k < held_->size(); ++k)
-      node((*held_)[k]).m_v = (vector(*targets_, static_cast<Index>(k)) - begin_[k]) / kFrameSeconds;
+      node((*held_)[k]).m_v = (vector(*targets_, k) - begin_[k]) / kFrameSeconds;
   }
 
   btSoftBodyRigidBodyCollisionConfiguration configuration_;
@@ -264,7 +264,7 @@ SimulatorCapabilities Bullet::capabilities() const {
 
 void Bullet::start() {
   const Fabric& fabric = this->fabric();
-  if (!fabric.tables && !(fabric.stretch_shear_n_per_m > 0.0))  // springs along all edges cannot do without
+  if (!fabric.tables && !(fabric.stretch_shear_n_per_m > 0.0))  // the springs along the edges need a shear stiffness
     throw ConfigError("bullet: fabric.stretch_n_per_m.shear = " + std::to_string(fabric.stretch_shear_n_per_m) +
                       ", must be above 0");
   if (params_.max_substeps < params_.min_substeps)
@@ -273,15 +273,15 @@ void Bullet::start() {
   network_ = spring_network(garment(), fabric);
   if (network_.raised_share > kMostRaised)
     throw ConfigError(
-        "bullet: fabric.bend_n_m is too stiff beside stretch_n_per_m on this mesh: " + percent(network_.raised_share) +
+        "bullet: fabric.bend_n_m is too large for stretch_n_per_m on this mesh: " + percent(network_.raised_share) +
         " of the edges would have to be stiffened to carry it, must be at most " + percent(kMostRaised));
   choose_substeps();
   world_ = std::make_unique<World>(garment(), network_, fabric, scene(), floor(), substeps_, params_);
   state_changed();
 }
 
-/// Takes over positions(), velocities() and what is fixed. Contacts follow from the positions alone
-/// (SelfContact::make_contacts), so with these a snapshot is complete.
+/// Takes over positions(), velocities() and the fixed vertices. Contacts follow from the positions alone
+/// (SelfContact::make_contacts), so a snapshot of these is complete.
 void Bullet::state_changed() {
   world_->contact().forget();
   for (Index i = 0; i < positions().rows(); ++i) {
@@ -291,7 +291,7 @@ void Bullet::state_changed() {
   }
 }
 
-/// Substeps from the stiffest edge or strut; what this mesh and fabric cannot have here goes to the warnings.
+/// Chooses the substeps from the stiffest edge or strut. Warns of every property of mesh and fabric that links lack.
 void Bullet::choose_substeps() {
   const Fabric& fabric = this->fabric();
   warnings_.clear();
@@ -312,18 +312,20 @@ void Bullet::choose_substeps() {
                         " of the edges were stiffened to carry it: the cloth stretches less than its stiffness says; "
                         "if it trembles, halve link_step");
   if (network_.stretch_misfit > 0.15)
-    warnings_.push_back("this mesh has the membrane stiffness to " + percent(network_.stretch_misfit) + " only");
+    warnings_.push_back("on this mesh the membrane stiffness is met to within " + percent(network_.stretch_misfit) +
+                        " only");
   if (network_.bend_misfit > 0.15)
-    warnings_.push_back("this mesh has the bending stiffness to " + percent(network_.bend_misfit) + " only");
+    warnings_.push_back("on this mesh the bending stiffness is met to within " + percent(network_.bend_misfit) +
+                        " only");
   if (fabric.tables)
     warnings_.push_back("stiffness is taken from the tables at zero strain and curvature and stays constant");
   else if (network_.shear_n_per_m < 0.999 * fabric.stretch_shear_n_per_m)
     warnings_.push_back("stretch_n_per_m.shear = " + std::to_string(fabric.stretch_shear_n_per_m) +
-                        " cannot be had beside this warp and weft, here " + std::to_string(network_.shear_n_per_m));
+                        " is too large for this warp and weft; the links have " +
+                        std::to_string(network_.shear_n_per_m));
   if (!fabric.tables && std::abs(network_.poisson - fabric.poisson) > 0.01)
     warnings_.push_back("poisson = " + std::to_string(fabric.poisson) +
-                        " cannot be had: links give it with the shear stiffness, here " +
-                        std::to_string(network_.poisson));
+                        " cannot be chosen: the links' shear stiffness makes it " + std::to_string(network_.poisson));
   if (fabric.damping_bend_s > 0.0)
     warnings_.push_back("damping.bend_s = " + std::to_string(fabric.damping_bend_s) +
                         " has no effect: links damp stretching only");

@@ -12,13 +12,13 @@ namespace weft::bullet {
 
 /// Cloth as a btSoftBody of links in a btSoftRigidDynamicsWorld of its own.
 ///
-/// A frame is one stepSimulation(); the world's soft-body solver (World::Solver) makes small substeps of it, each
+/// A frame is one stepSimulation(). The world's soft-body solver (World::Solver) splits it into small substeps of
 ///     v = (v + dt g) / (1 + dt drag),  q = x,  x += dt v,  PSolve_Links once,  contact,  v = (x - q) / dt.
 /// One pass with small substeps is XPBD [Macklin et al. 2019, Small steps in physics simulation]: a link of compliance
-/// 1/k moves its ends by (L0 - L) / (1/(k dt^2) + w), w = 1/m_a + 1/m_b, so that stiffness does not depend on the step.
-/// Bullet divides by Link::m_c0, which is set here instead of through Material::m_kLST, whose meaning changes with the
-/// masses, and to 1/(k dt^2) + w/2: the sweep evaluates a link when, on average, half of what balances it at its ends
-/// has been applied, which is worth w/2 (README, "Calibration").
+/// 1/k moves its ends by (L0 - L) / (1/(k dt^2) + w), w = 1/m_a + 1/m_b. So stiffness does not depend on the step.
+/// Bullet divides by Link::m_c0. It is set here, because the meaning of Material::m_kLST changes with the masses. Its
+/// value is 1/(k dt^2) + w/2: when the sweep reaches a link, on average half of what balances it at its ends has been
+/// applied, and that is worth w/2 (README, "Calibration").
 class Bullet final : public SimulatorBase {
  public:
   explicit Bullet(const Params& params);

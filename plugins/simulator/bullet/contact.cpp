@@ -12,18 +12,20 @@ namespace {
 
 using Eigen::Vector3d;
 
-// Pairs are looked for this far beyond the thickness, m: less finds them more often, more finds more of them.
+// Pairs are searched for up to this far beyond the thickness, m. With less, searches are more frequent; with more, they
+// find more pairs.
 constexpr double kReach = 0.012;
-// An overlap goes at this speed, m/s.
+// An overlap is undone at this speed, m/s.
 constexpr double kRise = 0.05;
 // Part of the starting gap that a certificate keeps.
 constexpr double kKeep = 0.25;
-// Times the approach in a substep: a pair this close is a contact. Corrections move vertices further than predicted.
+// A pair closer than this many times its approach in a substep is a contact, since corrections move vertices further
+// than predicted.
 constexpr double kLookAhead = 3.0;
 constexpr double kSlack = 2e-7;       // m, so that rounding wakes no pair too late
 constexpr double kTouching = 1e-9;    // m: closer than this a pair has no normal
 constexpr double kCertified = 1e-12;  // m, rounding of a certificate
-// Smaller patches know more exactly how far they have moved against one another, and are more pairs to go through.
+// Smaller patches give tighter bounds on their relative motion, but there are more pairs of patches to visit.
 constexpr Index kPatchVertices = 32;
 constexpr Index kMostPatches = 64;   // up to twice as many, by halving
 constexpr int kCertifyPasses = 4;    // that push along the normal
@@ -114,7 +116,7 @@ double distance(const Box& p, const Box& q) {
 bool near_along_axes(const Box& p, const Box& q, double far) {
   return ((p.low - q.high).array() <= far).all() && ((q.low - p.high).array() <= far).all();
 }
-/// Those of the primitives that are within `far` of a box, with their own boxes. @param corners vertices of a primitive
+/// The primitives within `far` of a box, with their own boxes. @param corners vertices of a primitive
 template <class Corners>
 std::vector<std::pair<std::int32_t, Box>> near_box(const std::vector<std::int32_t>& primitives, const Corners& corners,
                                                    const Box& box, double far, const std::vector<Vector3d>& x) {
@@ -152,7 +154,7 @@ SelfContact::SelfContact(const Garment& garment, double thickness, double self_f
 /// Halves the vertices at the median of the longer side, in rest coordinates: neighbours there stay neighbours.
 void SelfContact::make_patches(const Garment& garment) {
   const Index n = garment.vertex_count();
-  const auto most = static_cast<std::size_t>(std::max<Index>(kPatchVertices, n / kMostPatches + 1));
+  const std::size_t most = std::max<Index>(kPatchVertices, n / kMostPatches + 1);
   std::vector<std::int32_t> order(n);
   std::iota(order.begin(), order.end(), 0);
   std::vector<std::int32_t> patch_of(n);
@@ -219,7 +221,7 @@ void SelfContact::find_pairs(Neighbours& neighbours, double travelled, const std
   const Patch &a = patches_[neighbours.a], &b = patches_[neighbours.b];
   const Box box_a = box_of(a.reach, x), box_b = box_of(b.reach, x);
   const double far = thickness_ + kReach;
-  // Patches far from one another have no pairs until they have come near.
+  // Patches far from one another have no pairs until they come near.
   const double clear = std::max(far, distance(box_a, box_b));
   neighbours.horizon = travelled + clear - thickness_;
   if (clear > far) return;
@@ -227,7 +229,7 @@ void SelfContact::find_pairs(Neighbours& neighbours, double travelled, const std
   const auto add = [&](Pair pair) {
     double weight[4];
     if (difference(x, pair.node, pair.edges, weight).norm() > far) return;
-    // Neighbours that the flat sheet has closer than the thickness are no layers.
+    // Primitives that are closer than the thickness in the flat sheet are neighbours, not layers.
     pair.target = std::min(thickness_, 0.9 * rest_distance(pair));
     neighbours.pairs.push_back(pair);
   };
@@ -273,12 +275,12 @@ void SelfContact::resolve(Substep& substep, int passes) {
   certify(substep);
 }
 
-/// The contacts follow from the positions at the start and end of this substep alone. What happened before only tells
-/// which pairs need not be looked at: a gap shrinks by no more than the two patches have moved against one another, and
-/// that by no more than the size of the box of their vertices' moves.
+/// The contacts depend only on the positions at the start and end of this substep. Earlier substeps tell which pairs
+/// need no measuring: a gap shrinks by at most the relative motion of the two patches. That motion is at most the size
+/// of the box of their vertices' moves.
 void SelfContact::make_contacts(const Substep& substep) {
   found_.clear();
-  const auto count = static_cast<Index>(patches_.size());
+  const Index count = patches_.size();
   // A row per patch, the box of its vertices' moves: since the start of the substep before, and predicted for this one.
   Eigen::ArrayXXd moved(count, 6), predicted(count, 6);
   const auto bounds = [&](const auto& move, auto& rows) {
@@ -308,11 +310,11 @@ void SelfContact::make_contacts(const Substep& substep) {
     };
     const Eigen::ArrayXd way = sizes(moved), range = sizes(predicted);
     for (Index k = 0; k < n; ++k) {
-      const std::size_t at = first + static_cast<std::size_t>(k);
+      const std::size_t at = first + k;
       travelled_[at] += way[k];
       if (!(travelled_[at] + kLookAhead * range[k] + kSlack < alarm_[at])) add_contacts(at, range[k], substep);
     }
-    first += static_cast<std::size_t>(n);
+    first += n;
   }
   order_.clear();
   for (std::size_t k = 0; k < found_.size(); ++k) order_.emplace_back(found_[k].pair->order, k);
@@ -339,7 +341,7 @@ void SelfContact::add_contacts(std::size_t at, double range, const Substep& subs
     contact.gap = way.norm();
     wake = travelled + contact.gap - pair.target;
     alarm = std::min(alarm, wake);
-    // How far the four vertices come together, corrections to come included.
+    // How far the four vertices approach one another, with corrections to come.
     double closing = 0.0;
     for (int k = 1; k < 4; ++k)
       closing = std::max(closing, (substep.end[pair.node[k]] - substep.start[pair.node[k]] - substep.end[pair.node[0]] +
@@ -376,7 +378,7 @@ void SelfContact::push_off_ground(Substep& substep) {
   if (!std::isfinite(substep.floor)) return;
   for (std::size_t i = 0; i < substep.end.size(); ++i) {
     if ((*substep.inverse_mass)[i] == 0.0) continue;
-    // From below the ground a vertex rises slowly.
+    // A vertex below the ground rises slowly.
     const double lowest = std::min(substep.floor, substep.start[i].z() + kRise * substep.seconds);
     const double lack = lowest - substep.end[i].z();
     if (lack <= 0.0) continue;
@@ -385,7 +387,7 @@ void SelfContact::push_off_ground(Substep& substep) {
   }
 }
 
-/// Coulomb friction: what was pushed by d along the normal is pulled back by at most mu d across it.
+/// Coulomb friction: after a push of d along the normal, at most mu d of the tangential move is taken back.
 void SelfContact::rub(Substep& substep) {
   auto& x = substep.end;
   const auto& w = *substep.inverse_mass;
@@ -431,7 +433,7 @@ void SelfContact::certify(Substep& substep) {
     return any;
   };
 
-  Index left = static_cast<Index>(contacts_.size());
+  Index left = contacts_.size();
   for (int pass = 0; pass < kCertifyPasses && left > 0; ++pass) {
     left = 0;
     for (const Contact& contact : contacts_)

@@ -21,21 +21,22 @@ struct Substep {
 /// Contact of the cloth with itself and with the ground: position corrections within a substep.
 ///
 /// Every vertex-face and edge-edge pair that may come closer than the thickness in this substep is a contact. Its
-/// normal n is the direction between the closest points at the start of the substep, where nothing intersects. It asks
-///  - that the closest points end at least the thickness apart along n (if they start closer: no closer, and rising
-///    slowly, so that an overlap is no source of speed);
-///  - Coulomb: the tangential move of the closest points relative to one another is taken back by at most mu times the
-///    normal correction;
-///  - the certificate: every vertex of the one stays on its side of every vertex of the other along n. Along n, the
-///    distance between two vertices that move straight is linear in time and positive at the start, so a plane
-///    separates the two throughout the substep: a pair with a certificate has not crossed. Where corrections fail to
-///    restore a certificate, the vertices of the pair move as one, which keeps all their distances.
+/// normal n is the direction between the closest points at the start of the substep, where nothing intersects. A
+/// contact enforces
+///  - the gap: the closest points end at least the thickness apart along n. Points that start closer do not approach,
+///    and separate slowly, so that an overlap adds no speed;
+///  - Coulomb friction: the tangential move of the closest points relative to one another is taken back by at most mu
+///    times the normal correction;
+///  - the certificate: every vertex of one primitive stays on its side of every vertex of the other along n. Along n,
+///    the distance between two vertices that move straight is linear in time and positive at the start. So a
+///    plane separates the two throughout the substep, and a pair with a certificate has not crossed. Where corrections
+///    fail to restore a certificate, the vertices of the pair move as one, which keeps all their distances.
 class SelfContact {
  public:
-  /// @param thickness m, distance of mid-surfaces. @param self whether layers of cloth see one another.
+  /// @param thickness m, distance of mid-surfaces. @param self whether layers of cloth touch one another.
   SelfContact(const Garment& garment, double thickness, double self_friction, bool self);
 
-  /// Positions are to be set from outside: what was known of distances is void.
+  /// Discards all bounds on distances, because positions will be set from outside.
   void forget();
   /// Corrects substep.end.
   void resolve(Substep& substep, int passes);
@@ -49,7 +50,7 @@ class SelfContact {
     std::int32_t node[4];
     bool edges;
     double target;       ///< m
-    std::int64_t order;  ///< of the contacts: vertex-face pairs by vertex and face, then edges
+    std::int64_t order;  ///< sort key: vertex-face pairs by vertex and face, then edges
   };
   struct Contact {
     const Pair* pair;
@@ -69,8 +70,8 @@ class SelfContact {
   struct Neighbours {
     std::int32_t a, b;
     std::vector<Pair> pairs;
-    std::vector<double> wake;  ///< per pair, of travelled_: before, it cannot touch
-    double horizon = 0.0;      ///< of travelled_: beyond, pairs that are not listed may touch
+    std::vector<double> wake;  ///< per pair: it cannot touch before travelled_ reaches this
+    double horizon = 0.0;      ///< beyond this travelled_, pairs that are not listed may touch
   };
 
   void make_patches(const Garment& garment);
@@ -91,15 +92,15 @@ class SelfContact {
   std::vector<std::int32_t> piece_;  ///< connected component of each vertex
   std::vector<Patch> patches_;
   std::vector<Neighbours> neighbours_;  ///< of all patches a <= b, in this order
-  // Per neighbours_, m. Apart from them because every substep goes through all.
-  std::vector<double> travelled_;  ///< bound on the way of any vertex of a relative to any of b, since forget()
-  std::vector<double> alarm_;      ///< of travelled_: before, nothing there can touch
+  // Per entry of neighbours_, m. Stored apart, because every substep visits all of them.
+  std::vector<double> travelled_;  ///< bound on the relative motion of any vertex of a and any of b, since forget()
+  std::vector<double> alarm_;      ///< no pair there can touch before travelled_ reaches this
 
-  std::vector<Eigen::Vector3d> before_;                      ///< start of the substep before; empty: unknown
+  std::vector<Eigen::Vector3d> before_;                      ///< start of the previous substep; empty: unknown
   std::vector<Contact> found_;                               ///< by neighbours
   std::vector<std::pair<std::int64_t, std::size_t>> order_;  ///< of found_
   std::vector<Contact> contacts_;
-  std::vector<double> lifted_;  ///< m, by the ground in this substep
+  std::vector<double> lifted_;  ///< m, lift by the ground in this substep
   Index touching_ = 0, uncertified_ = 0;
 };
 

@@ -21,14 +21,14 @@ Vec2 direction(int j) {
   return {std::cos(angle), std::sin(angle)};
 }
 
-/// Something whose energy is its coefficient times a form of the strain's (or curvature's) direction.
+/// An edge or hinge, whose energy is its coefficient times a form of the direction of the strain (or curvature).
 struct Element {
   Form form{};         ///< energy per coefficient, times two
-  double guess = 0.0;  ///< of the coefficient
+  double guess = 0.0;  ///< first guess of the coefficient
   std::array<int, 2> face{-1, -1};
 };
 
-/// Where the energy of an element lies: in its faces, and so around their vertices.
+/// The energy of an element lies in its faces, and so around their vertices.
 struct Part {
   int vertex;
   double share;  ///< of the element's faces that lie around the vertex
@@ -61,9 +61,9 @@ double modulus(const Eigen::Matrix3d& compliance, const Vec2& p) {
   return 1.0 / load.dot(compliance * load);
 }
 
-/// Scales edges by a function of their direction alone, until the mean network has the wanted modulus along every edge,
-/// the sides being free to contract and to shear: k <- k (wanted / present)^1/2, over and over.
-/// Where a mesh has few directions (a grid has three) the closest form C(p) is not the closest modulus.
+/// Scales edges by a function of their direction alone, until the mean network has the target modulus along every edge.
+/// The sides are free to contract and to shear. Iterates k <- k (target / current)^1/2. It is needed where a mesh has
+/// few directions (a grid has three): there the closest form C(p) does not give the closest modulus.
 void match_moduli(std::vector<double>& k, const std::vector<Vec2>& directions, const std::vector<double>& lengths,
                   const Eigen::Matrix3d& wanted, double area) {
   constexpr int sweeps = 40;
@@ -81,16 +81,16 @@ void match_moduli(std::vector<double>& k, const std::vector<Vec2>& directions, c
 }
 
 /// Coefficients c >= 0 whose energy per area around every vertex is closest to `target`, relative, in all directions:
-///     min sum_v sum_j A_v/A (sum_e c_e form_e[j] share_ev / (A_v target[j]) - 1)^2 + tie sum_e A_e/A (c_e/guess_e -
-///     1)^2
+///     min  sum_v sum_j A_v/A (sum_e c_e form_e[j] share_ev / (A_v target[j]) - 1)^2
+///          + tie sum_e A_e/A (c_e/guess_e - 1)^2
 /// by coordinate descent. @param misfit root mean square.
 std::vector<double> fit_form(const std::vector<Element>& elements, const Form& target, const Patches& patches,
                              const std::vector<double>& areas, double& misfit) {
-  constexpr double tie = 1.0;  // less fits better, and more unevenly: uneven networks are softer than their mean
+  constexpr double tie = 1.0;  // a smaller one fits better but less evenly; uneven networks are softer than their mean
   constexpr int sweeps = 60;
   const auto& parts = patches.parts;
   const auto& patch = patches.area;
-  const auto vertices = static_cast<Index>(patch.size());
+  const Index vertices = patch.size();
   const std::size_t n = elements.size();
   double whole = 0.0;
   for (const double a : areas) whole += a;
@@ -145,7 +145,7 @@ struct Hinge {
   std::array<double, 4> weight{};  ///< m, 1/m
 };
 
-/// Faces, and what lies beside every edge.
+/// Faces, and the faces beside every edge.
 struct Mesh {
   const RestPositions& rest;
   const Faces& faces;
@@ -171,8 +171,8 @@ struct Moduli {
   double bend_warp, bend_weft, bend_bias;  ///< N m
 };
 
-/// Of tables: C = 2 c and B = ke / 4 at zero strain and curvature (docs/file-formats.md). Rows of bending name the
-/// axis, so row 0 is bending along weft.
+/// Moduli from tables: C = 2 c and B = ke / 4 at zero strain and curvature (docs/file-formats.md). A row of the bending
+/// table names the axis, so row 0 is bending along weft.
 Moduli moduli_of(const Fabric& fabric) {
   if (!fabric.tables)
     return {fabric.stretch_warp_n_per_m, fabric.stretch_weft_n_per_m, fabric.stretch_shear_n_per_m,
@@ -189,9 +189,9 @@ Moduli moduli_of(const Fabric& fabric) {
           fabric.bend_multiplier * ke[1][0] / 4};
 }
 
-/// What the network's quartic forms should be.
+/// Targets of the network's quartic forms.
 struct Target {
-  Moduli moduli;                 ///< shear is what links can have
+  Moduli moduli;                 ///< shear as far as links can have it
   double c11, c22;               ///< N/m: C11 = K_warp + G^2 / C22 and C22 = K_weft + G^2 / C11 with C12 = C33 = G
   double poisson;                ///< nu12
   Form stretch_form, bend_form;  ///< along the directions
@@ -263,7 +263,7 @@ Form squared_angles(const Mesh& mesh, const Hinge& hinge) {
   return form;
 }
 
-/// The hinges' bending stiffness as pre-stress of the edges, and of struts, which it adds.
+/// Turns the hinges' bending stiffness into pre-stress of the edges and of struts. Adds the struts.
 void add_pre_stress(const Mesh& mesh, const std::vector<Hinge>& hinges, const std::vector<double>& stiffness,
                     std::vector<Spring>& springs) {
   std::map<std::pair<int, int>, std::size_t> spring_of;

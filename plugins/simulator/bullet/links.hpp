@@ -18,11 +18,11 @@ struct Spring {
 
 /// The fabric as a network of springs.
 ///
-/// Membrane. A spring of direction n, length L and stiffness k adds k L^2 (n.e.n)^2 / 2 to the energy of a strain e, so
-/// a network has the quartic form C(p) = sum k L^2 (n.p)^4 / area for a strain along p, and Cauchy's symmetry C12 = C33
-/// whatever the stiffnesses. What is aimed at: the fabric's K_warp, K_weft and shear G, which makes C12 = G and leaves
-/// no choice of Poisson's ratio. The edges' stiffnesses are the non-negative ones whose C(p), around every vertex and
-/// in all directions, comes closest (relative least squares, held near K(n) area / L^2 [Van Gelder 1998]).
+/// Membrane. A spring of direction n, length L and stiffness k adds k L^2 (n.e.n)^2 / 2 to the energy of a strain e. So
+/// a network has the quartic form C(p) = sum k L^2 (n.p)^4 / area for a strain along p. It has Cauchy's symmetry
+/// C12 = C33 for any stiffnesses. The target is the fabric's K_warp, K_weft and shear G. That makes C12 = G and fixes
+/// Poisson's ratio. The edges get the non-negative stiffnesses whose C(p), around every vertex and in all directions,
+/// comes closest (relative least squares, held near K(n) area / L^2 [Van Gelder 1998]).
 ///
 /// Bending. A distance between two vertices of a flat sheet does not change to first order when the sheet bends, so
 /// links at rest have no linear bending stiffness, whatever their number. Links under stress do. Four points of a plane
@@ -46,11 +46,11 @@ struct SpringNetwork {
 /// An edge's stiffness is at least this many times its pre-stress: below, the links' rest lengths are far from flat.
 inline constexpr double kStiffnessPerPreStress = 4.0;
 
-/// Largest sqrt(nu12 nu21) = G / sqrt(C11 C22) aimed at. A fabric stiffer in shear than G = 2/3 sqrt(K_warp K_weft)
-/// gets that.
+/// Largest sqrt(nu12 nu21) = G / sqrt(C11 C22) of the target. A fabric with a larger shear stiffness than
+/// G = 2/3 sqrt(K_warp K_weft) gets this G.
 inline constexpr double kLargestCoupling = 0.5;
 
-/// @param fabric tables count at zero strain and curvature.
+/// @param fabric its tables are read at zero strain and curvature only.
 SpringNetwork spring_network(const Garment& garment, const Fabric& fabric);
 
 }  // namespace weft::bullet

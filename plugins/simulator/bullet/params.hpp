@@ -19,8 +19,8 @@ struct Params {
       "Most substeps per frame. A fabric that needs more at `link_step` is softened to what they can carry, and "
       "diagnostics() says so.");
     v("link_step", link_step, range(0.05, 2.0),
-      "Largest k dt^2 / m of a link, which sets the substep: the smaller, the closer the link solver is to the "
-      "stiffness asked for. Struts, which bend the cloth, may have 0.3 of it.");
+      "Largest k dt^2 / m of a link; it sets the substep. With a smaller one the link solver comes closer to the "
+      "given stiffness. Struts, which bend the cloth, may have 0.3 of it.");
     v("settle_damping_per_s", settle_damping_per_s, range(0.0, 100.0, "1/s"),
       "Air drag added during settle() only, so that a dropped sheet comes to rest in about a second.");
     v("grasp_strain_warning", grasp_strain_warning, range(0.0, 10.0),

@@ -9,18 +9,19 @@
 namespace weft::cloth {
 namespace {
 
-// A block, between two choices of step size and of contact pairs: this many substeps, and no longer than this (the
-// pairs that may meet, which every substep measures, grow with its time).
+// A block is the time between two choices of step size and of contact pairs. It has at most this many substeps and is
+// at most this long. (In longer blocks more pairs may meet, and every substep measures them all.)
 constexpr Index kBlock = 8;
 constexpr double kBlockSeconds = 1.2e-3;
-// Allowance for what a vertex may gain in speed within a block, m/s^2; a faster one ends its block early.
+// Allowed acceleration of a vertex within a block, m/s^2; a vertex with a larger one ends its block early.
 constexpr float kGain = 3.0f;
-// A layer under its own weight may sink into another by this part of the thickness. Only long steps come near it, and
-// springs that give under weight give along it, too: at 0.08 a layer of 1 mm went 0.12 mm before it stuck.
+// A layer may sink into another by this part of the thickness under its own weight. Only long steps come near this
+// limit. Springs that are soft along the normal are soft along the layer, too: at 0.08 a layer of 1 mm moved 0.12 mm
+// before it stuck.
 constexpr double kSink = 0.08, kSinkScaled = 0.05;
-// Part of the explicit limit that the springs of contact take. A mesh is scaled so that the elements leave them more.
+// Part of the explicit limit that the springs of contact take. With scaled masses the elements leave them more of it.
 constexpr float kSpring = 0.4f, kSpringScaled = 0.5f;
-// A mesh with shorter edges than this in the mean, m, is a fine one.
+// m; a mesh with a smaller mean edge counts as fine.
 constexpr double kFineEdge = 0.012;
 // A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
 constexpr double kRise = 0.05;
@@ -88,7 +89,7 @@ void Cloth::start() {
   if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
 }
 
-/// The longest substep; stiffness-proportional damping that would shorten it too much is reduced.
+/// Chooses the longest substep. Stiffness-proportional damping that would shorten it too much is reduced.
 void Cloth::choose_step() {
   const double stretch_s = fabric().damping_stretch_s, bend_s = fabric().damping_bend_s;
   const Spectrum spectrum = largest_frequencies(*elements_, masses_, *scaling_);
@@ -107,7 +108,7 @@ void Cloth::choose_step() {
                       " (coarser mesh, softer fabric, or less stiffness-proportional damping)");
 }
 
-/// Takes over positions(), velocities() and what is fixed; contact starts without memory.
+/// Takes over positions(), velocities() and the fixed vertices. Contact starts without memory.
 void Cloth::load_state() {
   const Positions &x = positions(), &v = velocities();
   const __m256d per_unit = _mm256_set1_pd(1.0 / elements_->unit());
@@ -147,20 +148,18 @@ void Cloth::advance_frame(const Positions& targets, double drag, Positions& x, P
     if (last_substeps_ > 4 * params_.max_substeps) throw Diverged("no progress");
   }
   for (std::size_t i = 0; i < state_.x.size(); ++i) {
-    const auto row = static_cast<Index>(i);
-    x.row(row) << state_.x[i].x, state_.x[i].y, state_.x[i].z;
-    v.row(row) << state_.v[i].x, state_.v[i].y, state_.v[i].z;
+    x.row(i) << state_.x[i].x, state_.x[i].y, state_.x[i].z;
+    v.row(i) << state_.v[i].x, state_.v[i].y, state_.v[i].z;
   }
 }
 
-/// Where the held vertices start and end in this frame, and the speed that takes them there.
+/// Computes where the held vertices start and end in this frame, and the speed that takes them there.
 void Cloth::aim(const Positions& targets) {
   start_.resize(held().size());
   target_.resize(held().size());
   for (std::size_t k = 0; k < held().size(); ++k) {
     const Index i = held()[k];
-    const auto row = static_cast<Index>(k);
-    const Double4 s = state_.x[i], t{targets(row, 0), targets(row, 1), targets(row, 2), 0.0};
+    const Double4 s = state_.x[i], t{targets(k, 0), targets(k, 1), targets(k, 2), 0.0};
     start_[k] = s;
     target_[k] = t;
     Double4& v = state_.v[i];
@@ -169,18 +168,18 @@ void Cloth::aim(const Positions& targets) {
   }
 }
 
-/// A few substeps of one length. @param done s, of this frame.
+/// Runs a few substeps of one length. @param done s, of this frame.
 void Cloth::advance_block(double& done, double drag) {
   const auto n = static_cast<std::int32_t>(state_.x.size());
-  // Tangent of St. Venant-Kirchhoff in tension: dP/dlambda = K (3 lambda^2 - 1)/2; step_safety covers the first
-  // tenth.
+  // Tangent of St. Venant-Kirchhoff in tension: dP/dlambda = K (3 lambda^2 - 1)/2. step_safety covers the first tenth.
   const double stiffening = std::max(1.0, (1.5 * state_.stiffening - 0.5) / 1.15);
   const double rest = kFrameSeconds - done;
   const double limit =
       std::min(longest_step_ / std::sqrt(stiffening), kFrameSeconds / static_cast<double>(params_.min_substeps));
   const double wanted = std::ceil(rest / limit - 1e-6);
   if (!(wanted <= static_cast<double>(params_.max_substeps)))
-    throw Diverged("it needs more than max_substeps = " + std::to_string(params_.max_substeps) + " substeps per frame");
+    throw Diverged("the cloth needs more than max_substeps = " + std::to_string(params_.max_substeps) +
+                   " substeps per frame");
   const Index left = std::max<Index>(1, static_cast<Index>(wanted));
   const double dt = rest / static_cast<double>(left);
   const Index block = std::min(left, std::clamp<Index>(static_cast<Index>(kBlockSeconds / dt), 1, kBlock));
@@ -242,7 +241,7 @@ double Cloth::substep(double dt, double drag, double part) {
   }
 
   const bool stop = params_.self_contact && contact_->has_fast();
-  // Where nothing comes between the two, a vertex is accelerated when it moves, which saves a pass over the vertices.
+  // If nothing comes between acceleration and move, one pass over the vertices does both.
   const bool together = scaling_->stages() == 1 && !stop;
   const Gain gain(dt, drag, scene().gravity);
   if (scaling_->stages() > 1)
@@ -277,7 +276,7 @@ double Cloth::substep(double dt, double drag, double part) {
       next = _mm256_blend_pd(_mm256_fmadd_pd(v, step, x), _mm256_set1_pd(z), 4);
     }
     store(vs[i], v);
-    store(xs[i], next);  // what is held is made exact below
+    store(xs[i], next);  // held vertices are set exactly below
     velocity = _mm256_cvtpd_ps(v);
     _mm_store_ps(&v_float[i].x, velocity);
     x_fixed[i] = to_fixed(next, per_unit);
@@ -310,7 +309,7 @@ double Cloth::substep(double dt, double drag, double part) {
   return largest_of(excess);
 }
 
-/// Puts the held vertices on their way. @param part of the frame that has passed.
+/// Moves the held vertices along their paths. @param part of the frame that has passed.
 void Cloth::place_held(double part) {
   const __m256d per_unit = _mm256_set1_pd(1.0 / elements_->unit());
   for (std::size_t k = 0; k < held().size(); ++k) {
@@ -322,9 +321,9 @@ void Cloth::place_held(double part) {
   }
 }
 
-/// The ground's reaction on a vertex that is on it, or comes to it in this step. Friction brakes what moves and, with
-/// what it has left, holds against the force: its direction must not come from v + dt a, since a, which short waves
-/// dominate, is not yet scaled.
+/// The ground's reaction on a vertex that is on it, or reaches it in this step. Friction first brakes the motion; the
+/// rest of it resists the force. Its direction must not come from v + dt a, because a is not yet scaled and short waves
+/// dominate it.
 void Cloth::rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, Float4& free) const {
   const double allowed = x.z > floor() ? (floor() - x.z) / dt : 0.0;  // <= 0
   const double normal = (allowed - v.z) / dt - a.z;                   // m/s^2
@@ -342,9 +341,9 @@ void Cloth::rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, 
   a.y = part * a.y - braking * v.y;
 }
 
-/// The same with p(W L) W (f + m g + ground). The ground's force is what a vertex needs by itself, as if its mass were
-/// lumped; a component that it stops takes no part in p(W L) W. So reactions, and what sticks, are those of
-/// equilibrium.
+/// The same step with p(W L) W (f + m g + ground). The ground's force is the one that the vertex needs by itself, as if
+/// its mass were lumped. A component that the ground stops takes no part in p(W L) W. So reactions and sticking are
+/// those of equilibrium.
 void Cloth::accelerate_scaled(double dt, double drag) {
   const auto n = static_cast<std::int32_t>(state_.x.size());
   const __m256d gravity = _mm256_setr_pd(scene().gravity.x(), scene().gravity.y(), scene().gravity.z(), 0.0);
@@ -374,8 +373,6 @@ double Cloth::face_strain(Index face) const {
   return elements_->principal_strain(state_.x.data(), static_cast<std::int32_t>(face));
 }
 
-void Cloth::add_diagnostics(SimulatorDiagnostics& diagnostics) const {
-  diagnostics.contacts = static_cast<Index>(state_.contact.touching);
-}
+void Cloth::add_diagnostics(SimulatorDiagnostics& diagnostics) const { diagnostics.contacts = state_.contact.touching; }
 
 }  // namespace weft::cloth

@@ -12,8 +12,8 @@ namespace weft::cloth {
 
 /// Cloth as a continuum (elements.hpp), integrated by many small explicit steps per frame:
 ///     v += dt (f(x, v) / m + g),   v /= 1 + dt drag,   contact,   x += dt v.
-/// What is at rest satisfies the static equations exactly, whatever the step: no iteration or step changes a stiffness
-/// or a friction threshold. Forces are in float from exact fixed-point differences; state is in double.
+/// Cloth at rest satisfies the static equations exactly, for any step: no iteration or step changes a stiffness or a
+/// friction threshold. Forces are in float from exact fixed-point differences; state is in double.
 class Cloth final : public SimulatorBase {
  public:
   explicit Cloth(const Params& params)

@@ -13,16 +13,16 @@ namespace {
 // Part of the explicit limit dt^2 lambda = 4 that contact takes besides the spring: 2 * 0.45 for the dashpot; the
 // elements take 4 * 0.8^2 = 2.56 at the default step_safety.
 constexpr float kDashpot = 0.45f;
-// A vertex counts as if it carried at least this sum of |weight| (two layers give 2 to 4), and only pairs that touch
-// count: pairs which come and go must not change the stiffness of the others. When fast approach brought in more pairs,
-// springs were softer while compressed than while released, and resting layers bounced for ever.
+// Least sum of |weight| with which a vertex counts (two layers give 2 to 4). Only touching pairs count, because pairs
+// that come and go must not change the stiffness of the others. When pairs in fast approach counted too, springs were
+// softer in compression than in release, and resting layers bounced for ever.
 constexpr float kLeastLoad = 6.0f;
 // A pair pressed deeper than this part of its distance yields (keeps the gap it has) ...
 constexpr float kYield = 0.25f;
-// ... and recovers at this speed, m/s, so that separating layers gain no energy worth naming. (0.02 kept some folds
-// from settling below 5 mm/s.)
+// ... and recovers at this speed, m/s, so that separating layers gain hardly any energy. (With 0.02 some folds did not
+// settle below 5 mm/s.)
 constexpr float kRecovery = 0.003f;
-// Edge pairs act at a smaller distance than vertices: in flat layers vertex-triangle pairs carry the load alone.
+// Edge pairs act at a smaller distance than vertex-triangle pairs, which alone carry the load between flat layers.
 constexpr float kEdgePart = 0.8f;
 
 /// Measures eight candidates on the sides that they remember.
@@ -53,7 +53,7 @@ double SelfContact::longest_step(double g, double part) const {
 void SelfContact::clear(State& state) const {
   search_.clear(state);
   state.touching = 0;
-  const auto n = static_cast<std::size_t>(topology_->vertices);
+  const std::size_t n = topology_->vertices;
   scratch_.active.reserve(16 * n);
   scratch_.soon_faces.reserve(16 * n);
   scratch_.soon_edges.reserve(32 * n);
@@ -61,10 +61,10 @@ void SelfContact::clear(State& state) const {
   scratch_.load.resize(n);
 }
 
-/// Whether a vertex whose nearest point of a triangle lies on its border has a nearer point beyond that border: over
-/// the next triangle, which is a pair of its own. Such a pair must not act. Its direction leans back while the vertex
-/// nears the border and forward after it, and with the dashpot that would brake sliding layers (by 20 % of the
-/// acceleration at 1 m/s).
+/// Whether a vertex's nearest point of a triangle lies on the triangle's border, with a nearer point beyond that
+/// border. That point belongs to the next triangle, which is a pair of its own. So this pair must not act. Its
+/// direction leans back while the vertex nears the border and forward after it. With the dashpot, that would brake
+/// sliding layers (by 20 % of the acceleration at 1 m/s).
 bool SelfContact::elsewhere(const Candidate& pair, const float (&weight)[4], const Fixed4* fixed) const {
   struct Vec {
     float x, y, z;
@@ -142,11 +142,11 @@ void SelfContact::activate_pairs(State& state, const std::vector<std::int32_t>& 
   for (std::size_t first = 0; first < soon.size(); first += 8) {
     const int lanes = static_cast<int>(std::min<std::size_t>(8, soon.size() - first));
     for (int lane = 0; lane < 8; ++lane) {
-      const auto k = static_cast<std::size_t>(soon[first + (lane < lanes ? lane : 0)]);
+      const std::size_t k = soon[first + (lane < lanes ? lane : 0)];
       group[lane] = &list.candidate[k], contacts[lane] = &list.contact[k];
     }
     const Stored m(measure<kEdges>(group, contacts, fixed, unit_f));
-    // Most pairs are not near, and the branches of what follows cannot be foreseen: so by masks.
+    // Most pairs are far apart and the branches below are unpredictable, hence masks.
     float closing[8];
     unsigned near = 0, held = 0;
     for (int lane = 0; lane < lanes; ++lane) {
@@ -154,7 +154,7 @@ void SelfContact::activate_pairs(State& state, const std::vector<std::int32_t>& 
       const float gap = m.distance[lane];
       c.due = (path[c.v[0]] + path[c.v[1]]) + (path[c.v[2]] + path[c.v[3]]) + (gap - c.distance);
       for (int k = 0; k < 3; ++k) contacts[lane]->normal[k] = m.normal[k][lane];
-      // What the next step can close: twice the last one's motion, and a little for rest.
+      // How far the next step can close a gap: twice the last step's motion, and a little more for rest.
       closing[lane] = 2.0f * ((moved[c.v[0]] + moved[c.v[1]]) + (moved[c.v[2]] + moved[c.v[3]])) + 0.02f * c.distance;
       near |= static_cast<unsigned>(gap < c.distance + closing[lane]) << lane;
       held |= static_cast<unsigned>(c.present >= 0.0f) << lane;
@@ -172,9 +172,8 @@ void SelfContact::activate_pairs(State& state, const std::vector<std::int32_t>& 
     each_lane(near, [&](int lane) {
       Candidate& c = *group[lane];
       const float gap = m.distance[lane];
-      // A pair that starts out closer than its distance (a state that was set so; a vertex that crossed over from the
-      // next triangle) must not push at once: that would be energy from nothing, and kept creases buzzing. It starts
-      // without force.
+      // A pair can start closer than its distance: in a state set from outside, or when the vertex crossed over from
+      // the next triangle. It starts without force. A push at once would create energy, and it kept creases vibrating.
       c.present = c.present < 0.0f ? std::max(gap, 0.0f) : c.present + kRecovery * dt;
       c.present = std::min(c.present, c.distance);
       c.present = std::min(c.present, std::max(gap, 0.0f) + kYield * c.distance);
@@ -207,12 +206,12 @@ void SelfContact::activate(State& state, const Fixed4* fixed, double unit, const
 void SelfContact::set_stiffness(const float* inverse_mass, float longest) const {
   std::vector<Active>& active = scratch_.active;
   std::vector<float>& load = scratch_.load;
-  load.assign(static_cast<std::size_t>(topology_->vertices), 0.0f);
+  load.assign(topology_->vertices, 0.0f);
   for (const Active& a : active)
     if (a.depth > 0.0f)
       for (int k = 0; k < 4; ++k) load[a.v[k]] += std::abs(a.weight[k]);
-  // A spring may become softer while it is compressed, never stiffer, and does not follow the varying step: anything
-  // else would be a pump.
+  // A spring may become softer while it is compressed, never stiffer, and does not follow the varying step. Otherwise
+  // it would pump energy into the cloth.
   const float per_dt = 1.0f / longest;
   for (Active& a : active) {
     float worst = 0.0f;
@@ -267,8 +266,8 @@ void SelfContact::add_forces(State& state, const Float4* v, float dt, Float4* fo
 
 void SelfContact::stop(const Double4* x, double dt, double floor, double ground_friction, const float* inverse_mass,
                        Double4* v) const {
-  // The ground's friction changes velocities, too, all the more as the impulses press on the ground. So the ground
-  // comes next, and then the pairs are stopped once more, without pressing.
+  // The ground's friction changes velocities, too, and more so when the impulses press on the ground. So the ground
+  // comes next. Then the pairs are stopped once more, without pressing on the ground.
   stop_pairs(x, dt, floor, inverse_mass, v, false);
   for (const std::int32_t index : scratch_.fast)
     for (const std::int32_t i : scratch_.active[index].v)

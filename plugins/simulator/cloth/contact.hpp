@@ -11,9 +11,9 @@
 
 namespace weft::cloth {
 
-/// Velocity of a vertex at height z that would go below the ground in the step x += dt v. The normal impulse is what
-/// keeps it above; the tangential one is at most mu times it, against the motion, and takes all of it where it can:
-/// sticking is exactly at rest.
+/// Ground contact of a vertex at height z that would go below the ground in the step x += dt v. The normal impulse
+/// keeps it just above. The tangential impulse opposes the motion and is at most mu times the normal one. Where it can,
+/// it takes all of the motion, so that a sticking vertex is exactly at rest.
 inline __m256d meet_ground(double z, double dt, double floor, double mu, __m256d v) {
   const __m128d xy = _mm256_castpd256_pd128(v);
   const double vx = _mm_cvtsd_f64(xy), vy = _mm_cvtsd_f64(_mm_unpackhi_pd(xy, xy));
@@ -33,11 +33,11 @@ inline __m256d meet_ground(double z, double dt, double floor, double mu, __m256d
 ///   due         a candidate is measured again only when its vertices may have moved as far as its last free gap
 ///   active      pairs in contact: measured in every substep. (Keeping normals for a few substeps delays the forces
 ///               that turn with the cloth, which is negative damping: 2 to 5 % of folds never came to rest.)
-/// Force of an active pair with gap g below its distance d: normal spring and dashpot, never pulling, and a tangential
-/// spring with a slider at mu times the normal force (Cundall & Strack 1979): resting layers stick without creep, and
-/// slide at exactly mu. The spring is as stiff as the substep allows, some micrometres deep under a layer's weight.
-/// A pair that would come closer than half its distance within a substep is stopped by an inelastic impulse, so that no
-/// pair passes through. The side of a pair is remembered as long as it is a candidate.
+/// An active pair with gap g below its distance d has a normal spring and dashpot, which never pull. It also has a
+/// tangential spring with a slider at mu times the normal force (Cundall & Strack 1979): resting layers stick without
+/// creep, and slide at exactly mu. The spring is as stiff as the substep allows; under a layer's weight it gives by
+/// some micrometres. A pair that would come closer than half its distance within a substep is stopped by an inelastic
+/// impulse, so that no pair passes through. The side of a pair is remembered as long as it is a candidate.
 class SelfContact {
  public:
   /// A pair in one substep.
@@ -51,7 +51,7 @@ class SelfContact {
     float damping;    ///< N s/m
     Contact* contact;
   };
-  /// All that changes; copied by snapshots.
+  /// The whole changing state; snapshots copy it.
   struct State : ContactSearch::State {
     std::int64_t touching = 0;  ///< active pairs with force in the last substep
   };
@@ -60,7 +60,7 @@ class SelfContact {
   /// @param piecewise see ContactSearch.
   SelfContact(const Topology& topology, const Fabric& fabric, float spring, std::int32_t piecewise = 2000);
 
-  /// Makes sure that the candidates are good for the next block (ContactSearch).
+  /// Makes sure that the candidates are valid for the next block (ContactSearch).
   void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,
                double block_seconds) const {
     search_.prepare(state, x, v, fixed, unit, block_seconds);
@@ -75,8 +75,8 @@ class SelfContact {
   /// Adds the forces of the active pairs.
   void add_forces(State& state, const Float4* v, float dt, Float4* forces) const;
   bool has_fast() const { return !scratch_.fast.empty(); }
-  /// Inelastic impulses on the velocities so that the pairs that may come closer than half their distance do not, in
-  /// the step x += dt v, in which no vertex goes below floor (m).
+  /// Applies inelastic impulses to the velocities, so that in the step x += dt v no pair comes closer than half its
+  /// distance. No vertex goes below floor (m) in that step.
   void stop(const Double4* x, double dt, double floor, double ground_friction, const float* inverse_mass,
             Double4* v) const;
   /// Longest substep (s) at which a layer under acceleration g (m/s^2) sinks in by at most this part of the thickness.

@@ -12,17 +12,19 @@
 namespace weft::cloth {
 namespace {
 
-// Slack of the candidates as a part of the mean edge: more of it finds more pairs, which all have to be looked at, less
-// of it searches more often. From 0.02 to 0.06 there is little between them.
+// Slack of the candidates as a part of the mean edge. With more slack a search finds more pairs, all of which have to
+// be visited; with less, searches are more frequent. Between 0.02 and 0.06 the cost hardly differs.
 constexpr float kSlack = 0.05f;
-// Candidates are good for this long at most, s; where a search is for few vertices, all are searched for after so long.
-// (After a second, layers at rest had more than twice the candidates: whatever could touch in all that time.)
+// Longest time that candidates are valid, s, and longest time between searches for all vertices where a search is for
+// few. (When the latter was a second, layers at rest had more than twice the candidates, for all that could touch in
+// it.)
 constexpr double kLongest = 1.0, kRenewal = 0.05;
-// Where a search is for few vertices: those that have used this part of their slack, or whose path ends within this
-// many frames, are searched for before they have to be.
+// A search for few vertices also takes those that have used this part of their slack, or whose path ends within this
+// many frames. They would need a search soon.
 constexpr float kNear = 0.25f;
 constexpr double kSoon = 0.4;
-// Of the table of remembered pairs: the upper half of a pair's key, and its place in the list. The last is never taken.
+// Entries of the table of remembered pairs: the upper half of a pair's key, and its place in the list. The last place
+// is never used.
 constexpr std::uint64_t kTag = 0xffffffff00000000ull, kFree = ~0ull;
 // A node whose normals keep within this angle of its axis is flat, rad.
 constexpr float kFlat = 1.4f;
@@ -125,7 +127,7 @@ class ContactSearch::Search {
   const Double4 *x_, *v_;
   const Fixed4* fixed_;
   float unit_;
-  F8 grown_;  ///< m, by which boxes around paths grow: two of them meet where a pair can come within thickness
+  F8 grown_;  ///< m, growth of the boxes around paths: two boxes meet where a pair can come within thickness
   bool all_ = true;
 };
 
@@ -141,7 +143,7 @@ ContactSearch::ContactSearch(const Topology& topology, float thickness, float ed
 }
 
 void ContactSearch::clear(State& state) const {
-  const auto n = static_cast<std::size_t>(topology_->vertices);
+  const std::size_t n = topology_->vertices;
   state.valid = false;
   state.vertex_triangle.clear();
   state.edge_edge.clear();
@@ -206,8 +208,8 @@ template <bool kEdges>
   pending.count = 0;
 }
 
-/// A vertex that is not searched for may be off its path now, by a part of its slack, and by all of it later. A pair
-/// that remembers its side is due at once: measured here without its memory, the distance has no sign.
+/// A vertex outside this search may be off its path, by a part of its slack now and by all of it later. A pair that
+/// remembers its side is due at once: the distance measured here, without its memory, has no sign.
 template <bool kEdges>
 void ContactSearch::Search::keep_block(Pairs& out, PairBlock& block, int lanes) {
   constexpr int kSplit = kEdges ? 2 : 1;
@@ -282,8 +284,8 @@ void ContactSearch::Search::run(double block_seconds) {
   state_.valid = true;
 }
 
-/// Marks the vertices that are not near their path any more, or not until the block's end. A vertex that has used a
-/// part of its slack would be next. @return whether candidates are searched for all.
+/// Marks the vertices that are off their path, or will be by the block's end. Takes those with it that have used a part
+/// of their slack, since they would be next. @return whether candidates are searched for all.
 bool ContactSearch::Search::choose_strayed(double block_seconds) {
   const std::int32_t n = topology_.vertices;
   const double end = state_.elapsed + block_seconds, soon = end + kSoon * kFrameSeconds;
@@ -310,7 +312,7 @@ bool ContactSearch::Search::choose_strayed(double block_seconds) {
   return all;
 }
 
-/// Where every vertex is on its path now and at the path's end; those that are searched for begin a new one.
+/// Computes where every vertex is on its path now and at the path's end. Vertices of this search begin a new path.
 void ContactSearch::Search::take_paths() {
   const std::int32_t n = topology_.vertices;
   double low[3] = {1e300, 1e300, 1e300}, fastest = 0.0;
@@ -318,7 +320,7 @@ void ContactSearch::Search::take_paths() {
     low[0] = std::min(low[0], x_[i].x), low[1] = std::min(low[1], x_[i].y), low[2] = std::min(low[2], x_[i].z);
     fastest = std::max(fastest, v_[i].x * v_[i].x + v_[i].y * v_[i].y + v_[i].z * v_[i].z);
   }
-  // A path is good for a frame, or longer where little moves: in a search for few vertices each for itself.
+  // A path is valid for a frame, or longer where little moves. In a search for few vertices each has its own time.
   const auto longest = [&](double speed) {
     return std::clamp(of_.slack_ / std::max(speed, 1e-9), kFrameSeconds, kLongest);
   };
@@ -372,7 +374,7 @@ void ContactSearch::Search::fill(BoxBlock& block) {
   mark_lanes(block, kCorners);
 }
 
-/// Boxes of a patch's vertices and edges, when they are first asked for.
+/// Boxes of a patch's vertices and edges, computed when they are first needed.
 void ContactSearch::Search::box_patch(std::int32_t index) {
   if (scratch_.boxed[index]) return;
   scratch_.boxed[index] = 1;
@@ -381,8 +383,8 @@ void ContactSearch::Search::box_patch(std::int32_t index) {
   for (std::int32_t b = patch.edges[0]; b < patch.edges[1]; ++b) fill<2>(tree_.edges[b]);
 }
 
-/// Box and cone of a patch. Until the next search a normal turns by at most what its corners move against one another,
-/// over the height of the face.
+/// Box and cone of a patch. Until the next search a normal turns by at most the relative motion of its corners over the
+/// height of the face.
 void ContactSearch::Search::bound_leaf(PatchNode& node, Float4& sum) {
   const Float4 *position = scratch_.position.data(), *drift = scratch_.drift.data();
   BoxBlock& block = tree_.faces[tree_.patches[node.patch].faces[0]];  // at most eight faces: one block
@@ -485,7 +487,7 @@ void ContactSearch::Search::mark_lanes(BoxBlock& block, int corners) {
       block.strayed |= static_cast<unsigned>(scratch_.strayed[block.corner[k][lane]]) << lane;
 }
 
-/// Nothing was searched in a node while it was flat. When it no longer is, all of its vertices are searched for.
+/// A node is not searched while it is flat. When it stops being flat, all of its vertices join the search.
 void ContactSearch::Search::mark_what_is_flat_no_more() {
   std::vector<PatchNode>& nodes = tree_.nodes;
   const auto flat = [&](const PatchNode& node) { return node.convex && node.angle < kFlat; };
@@ -503,7 +505,7 @@ void ContactSearch::Search::mark_what_is_flat_no_more() {
     if (nodes[index].strayed) state_.flat[index] = flat(nodes[index]);
 }
 
-/// Moves the pairs with a marked vertex out of the candidates: to scratch_.old those whose side or slip is known.
+/// Moves the pairs with a marked vertex out of the candidates. Those whose side or slip is known go to scratch_.old.
 void ContactSearch::Search::forget_strayed() {
   Pairs& old = scratch_.old;
   const std::uint8_t* strayed = scratch_.strayed.data();
@@ -538,7 +540,7 @@ void ContactSearch::Search::forget_strayed() {
   }
 }
 
-/// @return whether the pair was known; then all but `due` is as it was.
+/// @return whether the pair was known; then everything but `due` is restored.
 bool ContactSearch::Search::recall(Candidate& c, Contact& contact, bool edges) const {
   const std::vector<std::uint64_t>& table = scratch_.table;
   const std::size_t last = table.size() - 1;
@@ -593,7 +595,7 @@ void ContactSearch::Search::meet_between(std::int32_t first, std::int32_t second
   }
 }
 
-/// The boxes of leaves are strewn over more memory than the near caches hold.
+/// The boxes of leaves are spread over more memory than the near caches hold.
 void ContactSearch::Search::fetch(std::int32_t node) {
   const Patch& patch = tree_.patches[tree_.nodes[node].patch];
   const auto blocks = [](const std::vector<BoxBlock>& list, const std::int32_t(&range)[2]) {

@@ -10,19 +10,19 @@
 
 namespace weft::cloth {
 
-/// What is looked at for every pair in every block. Half a cache line.
+/// The data of a pair that every block reads. Half a cache line.
 struct Candidate {
   std::int32_t v[4];  ///< vertex, triangle | edge, edge
   std::int32_t face;  ///< of the triangle, or -1
   float due;          ///< measure when the sum of the four path bounds reaches this, m
   float distance;     ///< m, contact distance of this pair
-  float present;      ///< m, <= distance: what is left of it after an overload; negative: not active
+  float present;      ///< m, <= distance: the part left after an overload; negative: not active
 };
 
-/// What a pair remembers of its contact.
+/// The memory of a pair that touched.
 struct Contact {
   float normal[3];  ///< last direction from the second to the first; zero: unknown
-  float mass;       ///< kg, least effective mass since it is in contact; sets the spring
+  float mass;       ///< kg, least effective mass since contact began; sets the spring
   float slip[3];    ///< m, stretch of the tangential spring
   float unused = 0.0f;
   bool met() const { return normal[0] != 0.0f || normal[1] != 0.0f || normal[2] != 0.0f; }
@@ -38,32 +38,32 @@ struct Pairs {
   void add(const Candidate& c, const Contact& m) { candidate.push_back(c), contact.push_back(m); }
 };
 
-/// Finds the pairs of vertex and triangle, and of two edges, that can come within thickness while every vertex keeps
-/// near the straight path that it was on when they were found: neighbours that move together do not count. What a pair
-/// remembers outlasts a search.
+/// Finds the vertex-triangle and edge-edge pairs that can come within thickness while every vertex stays near the
+/// straight path that it was on at the search. Neighbours that move together are no such pairs. The memory of a pair
+/// outlasts a search.
 class ContactSearch {
  public:
-  /// All that changes; copied by snapshots.
+  /// The whole changing state; snapshots copy it.
   struct State {
     bool valid = false;
     Pairs vertex_triangle, edge_edge;
     std::vector<float> path;  ///< [padded(V)] m moved since all candidates were found
-    // The candidates are good while every vertex is within slack() of start + drift * elapsed, and elapsed <= its
-    // until.
+    // The candidates are valid while every vertex is within slack() of start + drift * elapsed and elapsed <= its
+    // `until`.
     std::vector<Double4> start, drift;  ///< [V] m, m/s
     std::vector<double> until;          ///< [V] s
     double elapsed = 0.0;               ///< s, since all candidates were found
     double horizon = 0.0;               ///< s, the least `until`
-    double renewal = 0.0;               ///< s: no longer than this without a search for all
+    double renewal = 0.0;               ///< s, longest time without a search for all
     std::vector<std::uint8_t> flat;     ///< [nodes] no two parts of the node can touch, nothing was searched in it
   };
 
   /// @param thickness, edge_thickness m, distance below which vertex and triangle, and two edges, are in contact.
-  /// @param piecewise from this number of vertices on, a search is only for vertices that have left their path. On
-  /// fewer a search for all is as fast.
+  /// @param piecewise from this number of vertices on, a search is only for vertices that have left their path. With
+  /// fewer vertices a search for all is as fast.
   ContactSearch(const Topology& topology, float thickness, float edge_thickness, std::int32_t piecewise);
 
-  /// Makes sure that the candidates are good for the next block, else searches again.
+  /// Makes sure that the candidates are valid for the next block, else searches again.
   void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,
                double block_seconds) const;
   double slack() const { return slack_; }  ///< m, see State

@@ -20,7 +20,7 @@ inline Vec8 scaled(const Vec8& a, float s) { return splat(s) * a; }
 
 inline Vec8 unit_vector(const Vec8& r, F8 length) { return (splat(1.0f) / max8(length, splat(1e-12f))) * r; }
 
-/// What a pair's side is told by: its last normal, where known, within reach.
+/// The memory that tells a pair's side: its last normal, if known, within reach.
 struct Memory {
   Vec8 normal;
   F8 known;  // mask
@@ -29,7 +29,7 @@ struct Memory {
 
 /// Vertex against triangle; Ericson (2005, sec. 5.1.5) without branches: the interior projection where it exists, else
 /// the nearest of the three edges.
-/// @param memory null: the side is where the vertex stands.
+/// @param memory null: the side is the one on which the vertex is.
 [[gnu::always_inline]] inline Measured measure_vertex_triangle(const Vec8& ap, const Vec8& ab, const Vec8& ac,
                                                                const Memory* memory) {
   const F8 zero = splat(0.0f), one = splat(1.0f);
@@ -60,8 +60,8 @@ struct Memory {
   F8 height = dot(ap, n);
   F8 side_up = less(zero, height);
   if (memory) {
-    // Side: as remembered, else as it stands. Further than `reach` on the other side it has come round the border.
-    // (A memory that lies in the triangle's plane, from an approach past the border, knows no side.)
+    // The side is the remembered one, else the current one. A vertex farther than `reach` on the other side has come
+    // round the border. (A remembered normal in the triangle's plane, from an approach past the border, tells no side.)
     const F8 remembered = dot(memory->normal, n);
     const F8 knows = both(memory->known, less(splat(0.2f), _mm256_andnot_ps(splat(-0.0f), remembered)));
     const F8 near = less(_mm256_andnot_ps(splat(-0.0f), height), memory->reach);

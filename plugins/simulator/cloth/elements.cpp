@@ -7,7 +7,7 @@
 namespace weft::cloth {
 namespace {
 
-// Of a free edge: least overlap of the ghost's curvature with the one that the natural condition sets.
+// At a free edge: least overlap of the ghost's curvature with that of the natural condition.
 constexpr double kSeesNatural = 0.5;
 
 }  // namespace
@@ -87,7 +87,7 @@ Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&
       stiffest_membrane_.c22 = std::max(stiffest_membrane_.c22, 2.0 * m * row[2]);
       stiffest_membrane_.g = std::max(stiffest_membrane_.g, m * row[3]);
     }
-    BendingModuli stiffest;  // start: the stiffest column for the step size; update_moduli() follows before use
+    BendingModuli stiffest;  // the stiffest column, for the step size; update_moduli() replaces it before use
     for (int column = 0; column < 5; ++column) {
       const BendingModuli m = bending_moduli(*fabric_.tables, fabric_.bend_multiplier, 10.0 * column);
       stiffest = {std::max(stiffest.d11, m.d11), std::max(stiffest.d22, m.d22), 0.0, std::max(stiffest.d33, m.d33)};
@@ -150,8 +150,8 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
     for (int k = 0; k < 6; ++k) second(row, k) = patch.second[row][k];
   // Free edges: the ghost's place follows from the natural condition, no moment across the edge:
   // m^T d kappa = 0 with m = (n_u^2, n_v^2, n_u n_v). kappa = P second x with P = 1 - G (M^T d G)^-1 M^T d, G the
-  // ghosts' columns, M their m. Energy P^T d P. Where G is nearly blind to M (bad corners) the ghost goes where energy
-  // is least.
+  // ghosts' columns, M their m. Energy P^T d P. Where G hardly overlaps with M (bad corners) the ghost goes to the
+  // place of least energy.
   Eigen::Matrix<double, 3, Eigen::Dynamic, 0, 3, 3> ghosts(3, 0), normals(3, 0);
   for (int k = 0; k < 3; ++k) {
     if (!patch.ghost[k]) continue;
@@ -193,7 +193,7 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
   }
 }
 
-/// One long function, because what a block of elements shares stays in registers.
+/// One long function, because all parts of a block's computation share values that stay in registers.
 template <bool kDampStretch, bool kDampBend>
 float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces) const {
   const F8 half = splat(0.5f), one = splat(1.0f);
@@ -252,7 +252,7 @@ float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces
       for (int j = 1; j < 5; ++j) y[k] = fma(row(block.bend[k][j]), d[j], y[k]);
     }
     if constexpr (kDampBend) {
-      // Only along the normal, where curvature lies: turning as a whole changes y across it, and is not damped.
+      // Only along the normal, where curvature lies. A rigid rotation changes y across the normal and is not damped.
       F8 along[5];
       for (int k = 0; k < 5; ++k) along[k] = dot(rate[k], n);
       for (int k = 0; k < 3; ++k) {

@@ -13,7 +13,7 @@
 namespace weft::cloth {
 namespace {
 
-// Of w0 = 1 + kDamping / s^2: lambda p(lambda) of short waves lies between 0.3 and 1.7 of its mean.
+// In w0 = 1 + kDamping / s^2. With it, lambda p(lambda) of short waves lies between 0.3 and 1.7 of its mean.
 constexpr double kDamping = 0.4;
 constexpr int kMostStages = 64;
 // Floats before the first and after the last record of a plane: a diagonal of eight lanes begins at most seven early.
@@ -78,7 +78,7 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
     return std::pair(a.row, a.column) < std::pair(b.row, b.column);
   });
   std::vector<double> value;
-  std::vector<std::int32_t> start(static_cast<std::size_t>(topology.vertices) + 1, 0), column;
+  std::vector<std::int32_t> start(topology.vertices + 1, 0), column;
   for (std::size_t k = 0; k < entries.size(); ++k) {
     if (k > 0 && entries[k].row == entries[k - 1].row && entries[k].column == entries[k - 1].column) {
       value.back() += entries[k].value;
@@ -86,7 +86,7 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
     }
     column.push_back(entries[k].column);
     value.push_back(entries[k].value);
-    start[static_cast<std::size_t>(entries[k].row) + 1] = static_cast<std::int32_t>(column.size());
+    start[entries[k].row + 1] = static_cast<std::int32_t>(column.size());
   }
   for (std::size_t i = 1; i < start.size(); ++i) start[i] = std::max(start[i], start[i - 1]);
 
@@ -101,7 +101,7 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
   Polynomial p;
   do p = polynomial(++stages_, most);
   while (p.largest() > allowed && stages_ < kMostStages);
-  // The stages come in whole numbers: what they could do beyond `allowed` is not used.
+  // The number of stages is whole: an effect beyond `allowed` is not used.
   if (p.largest() < allowed) p = polynomial(stages_, most * allowed / p.largest());
   largest_ = p.largest();
   arrange(topology, start, column, value);
@@ -116,11 +116,11 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
 
 double MassScaling::largest(
     const std::function<void(const std::vector<double>&, std::vector<double>&)>& stiffness) const {
-  // L is singular, for each piece of the cloth in a constant, which K maps to 0: a shift of its diagonal changes no r
-  // worth naming.
+  // L is singular: it maps fields that are constant on a piece of the cloth to 0, and so does K. A shift of its
+  // diagonal hardly changes r.
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> solver(
       laplacian_ + 1e-9 * Eigen::SparseMatrix<double>(laplacian_.diagonal().asDiagonal()));
-  const auto n = static_cast<std::size_t>(laplacian_.rows());
+  const std::size_t n = laplacian_.rows();
   return largest_ * power_iteration(n, [&](std::vector<double>& x) {
            std::vector<double> k(n);
            stiffness(x, k);
@@ -139,10 +139,10 @@ void MassScaling::Planes::resize(std::size_t rows) {
 
 void MassScaling::arrange(const Topology& topology, const std::vector<std::int32_t>& start,
                           const std::vector<std::int32_t>& column, const std::vector<double>& value) {
-  // Neighbours of vertices that follow one another in a strip follow one another in its strip or the next: the fewer
-  // diagonals, the better the strips. A triangular lattice has 7 where its rows are the strips.
+  // Consecutive vertices of a strip should have consecutive neighbours in one strip, so that there are few diagonals. A
+  // triangular lattice has 7 where its rows are the strips.
   const std::int32_t n = topology.vertices, padding = (8 - n % 8) % 8;
-  std::vector<std::int32_t> order(static_cast<std::size_t>(n)), row(order.size()), strip(order.size()), offsets;
+  std::vector<std::int32_t> order(n), row(order.size()), strip(order.size()), offsets;
   const auto group_offsets = [&](std::int32_t first) -> std::vector<std::int32_t>& {
     offsets.clear();
     for (std::int32_t r = first; r < std::min(first + 8, n); ++r)
@@ -156,7 +156,7 @@ void MassScaling::arrange(const Topology& topology, const std::vector<std::int32
   for (const int across : {1, 0})
     for (const double height : {0.8, 0.866, 0.93, 1.0})
       for (const double shift : {0.0, 0.5}) {
-        const auto place = [&](std::int32_t i, int axis) { return topology.rest[i][static_cast<std::size_t>(axis)]; };
+        const auto place = [&](std::int32_t i, int axis) { return topology.rest[i][axis]; };
         for (std::int32_t i = 0; i < n; ++i) {
           order[i] = i;
           strip[i] = static_cast<std::int32_t>(std::floor(place(i, across) / (height * topology.mean_edge) + shift));
@@ -174,7 +174,7 @@ void MassScaling::arrange(const Topology& topology, const std::vector<std::int32
 
   order = vertex_;
   for (std::int32_t r = 0; r < n; ++r) row[order[r]] = r;
-  vertex_.insert(vertex_.end(), static_cast<std::size_t>(padding), order.back());
+  vertex_.insert(vertex_.end(), padding, order.back());
   start_.push_back(0);
   for (std::int32_t first = 0; first < n; first += 8) {
     const std::size_t begin = at_.size();
@@ -186,12 +186,12 @@ void MassScaling::arrange(const Topology& topology, const std::vector<std::int32
       for (std::int32_t k = start[order[r]]; k < start[order[r] + 1]; ++k) {
         const auto here = std::lower_bound(at_.begin() + static_cast<std::ptrdiff_t>(begin), at_.end(),
                                            row[column[k]] - (r - first) + kRoom);
-        diagonal_[static_cast<std::size_t>(here - at_.begin())].value[r - first] = static_cast<float>(value[k]);
+        diagonal_[here - at_.begin()].value[r - first] = static_cast<float>(value[k]);
       }
     start_.push_back(static_cast<std::int32_t>(at_.size()));
   }
   for (Planes* planes : {&a_, &w_, &now_, &last_}) planes->resize(vertex_.size());
-  out_.resize(static_cast<std::size_t>(n));
+  out_.resize(n);
 }
 
 const Float4* MassScaling::apply(const Float4* a, const Float4* w) const {
@@ -213,7 +213,7 @@ const Float4* MassScaling::apply(const Float4* a, const Float4* w) const {
     }
   }
   for (int j = 1; j < stages_; ++j) {
-    const Stage& s = stage_[static_cast<std::size_t>(j)];
+    const Stage& s = stage_[j];
     const F8 of_now = splat(s.now), of_last = splat(s.last), gain = splat(s.gain), slope = splat(s.slope);
     for (std::int32_t r = 0; r < rows; r += 8) {
       F8 pull[3] = {zero, zero, zero};

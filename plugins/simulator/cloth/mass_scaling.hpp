@@ -7,18 +7,19 @@
 
 namespace weft::cloth {
 
-/// Selective mass scaling: waves that are short against a length get more inertia, and no substep need resolve them.
+/// Selective mass scaling: waves shorter than some length get more inertia, so that no substep need resolve them.
 ///     a = p(W L) W f,   W = 1/m where a component may move, else 0
 /// L is the scalar stiffness, the same for x, y and z, of a membrane that is nowhere softer than the cloth's. L of a
-/// constant is 0 and p(0) = 1: free fall and momentum stay exact. p > 0: equilibrium, f = 0, stays what it is. The mass
-/// matrix behind it is constant and does not know directions, so an angular momentum is conserved, that of M + O(l^2).
-/// [Selective mass scaling: Olovsson, Simonsson and Unosson 2005, there with (M + s K)^-1 in the place of p(W L) W.]
+/// constant is 0 and p(0) = 1: free fall and momentum stay exact. p > 0, so equilibrium (f = 0) does not change. The
+/// mass matrix of this scheme is constant and the same for x, y and z. So an angular momentum is conserved, that of
+/// M + O(l^2).
+/// [Selective mass scaling: Olovsson, Simonsson and Unosson 2005, who have (M + s K)^-1 in place of p(W L) W.]
 ///
-/// p is what s stages of a damped Runge-Kutta-Chebyshev step of dy/dt = a - W L y leave of a, per time, in s - 1
-/// products with L [Verwer, Hundsdorfer and Sommeijer 1990]:
+/// p comes from one damped Runge-Kutta-Chebyshev step of length tau and s stages for dy/dt = a - W L y, y = 0 at its
+/// start: it ends at y = tau p(W L) a, after s - 1 products with L [Verwer, Hundsdorfer and Sommeijer 1990]:
 ///     p(lambda) = (1 - T_s(w0 - w1 lambda) / T_s(w0)) / (tau lambda),   largest lambda p(lambda) ~ 1 / s^2
-/// Since K <= L, no eigenvalue of p(W L) W K is above it, whichever vertices are held; of a K <= r L none above r
-/// times.
+/// Since K <= L, this bounds the eigenvalues of p(W L) W K, too, whichever vertices are held. For K <= r L the bound is
+/// r times that.
 class MassScaling {
  public:
   /// @param length m: eigenvalues are at most (c / length)^2, c the larger wave speed of L, m/s; 0: no scaling.

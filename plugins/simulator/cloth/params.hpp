@@ -23,13 +23,13 @@ struct Params {
       "forever.");
     v("step_safety", step_safety, range(0.1, 0.95), "Substep as a part of the explicit stability limit.");
     v("damping_least_step", damping_least_step, range(0.0, 0.95),
-      "Stiffness-proportional damping may shorten the substep to this part of the undamped one; what would shorten it "
-      "more is damped less. 0: damping as the fabric has it, whatever it takes.");
+      "Stiffness-proportional damping may shorten the substep to this part of the undamped one; stronger damping is "
+      "reduced. 0: the fabric's damping in full, however short the substep.");
     v("inertia_length_m", inertia_length_m, range(0.0, 0.1, "m"),
-      "Waves shorter than about four times this length get more inertia, so that no finer mesh takes more substeps "
-      "(selective mass scaling). What is at rest does not depend on it. 0: inertia as the cloth has it.");
+      "Waves shorter than about four times this length get more inertia, so that finer meshes need no more substeps "
+      "(selective mass scaling). Shapes at rest do not depend on it. 0: no added inertia.");
     v("fine_inertia_length_m", fine_inertia_length_m, range(0.0, 0.1, "m"),
-      "The same on meshes with edges below 12 mm in the mean, where it is more than inertia_length_m.");
+      "Replaces inertia_length_m on meshes with a mean edge below 12 mm, where it is larger.");
     v("settle_damping_per_s", settle_damping_per_s, range(0.0, 100.0, "1/s"),
       "Air drag added during settle() only, so that a dropped sheet comes to rest in about a second.");
     v("grasp_strain_warning", grasp_strain_warning, range(0.0, 10.0),

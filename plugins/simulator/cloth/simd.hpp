@@ -60,7 +60,7 @@ inline __m128 squares4(__m128 a, __m128 b, __m128 c, __m128 d) {
   const __m128 x = _mm_movelh_ps(low, low2), y = _mm_movehl_ps(low2, low), z = _mm_movelh_ps(high, high2);
   return _mm_add_ps(_mm_add_ps(_mm_mul_ps(x, x), _mm_mul_ps(y, y)), _mm_mul_ps(z, z));
 }
-/// Length of a list of vertices that is worked off by fours.
+/// Length of a list of vertices that is processed in fours.
 inline std::size_t padded(std::size_t vertices) { return (vertices + 3) / 4 * 4; }
 inline float largest_of(__m128 a) {
   a = _mm_max_ps(a, _mm_movehl_ps(a, a));
@@ -103,8 +103,8 @@ inline Vec8 as_float(const Fixed8& bits) {
   const auto w = [&](int lane) { return table[index[lane]].w; };
   return _mm256_setr_ps(w(0), w(1), w(2), w(3), w(4), w(5), w(6), w(7));
 }
-/// Where a vertex has its record in every table of 16-byte records: 16 times its index. Ready-made in the element
-/// blocks, because computing addresses took a quarter of the instructions of the forces.
+/// Byte offset of a vertex's record in every table of 16-byte records: 16 times its index. The element blocks store it,
+/// because computing addresses took a quarter of the instructions of the forces.
 using Offset = std::uint32_t;
 inline Offset offset_of(std::int32_t vertex) { return 16u * static_cast<Offset>(vertex); }
 template <class Record>

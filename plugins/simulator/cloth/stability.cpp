@@ -10,7 +10,7 @@ namespace {
 constexpr int kIterations = 60;
 constexpr double kMargin = 1.05;
 
-/// A fixed rough start vector: no mode is missing from it, and it is the same everywhere.
+/// A fixed rough start vector that contains every mode.
 double start_value(std::size_t i) {
   std::uint64_t z = (i + 1) * 0x9e3779b97f4a7c15ull;
   z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
@@ -18,7 +18,7 @@ double start_value(std::size_t i) {
   return static_cast<double>(z >> 11) * 0x1.0p-52 - 1.0;
 }
 
-// Of stable_step(). Cloth that is folded sharply on coarse edges reaches 0.26.
+// The coupling in stable_step(). Cloth that is folded sharply on coarse edges reaches 0.26.
 constexpr double kShared = 0.3;
 
 /// Of the explicit limit, in two directions: dt^2 stiffness + dt damping.

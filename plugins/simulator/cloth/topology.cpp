@@ -22,7 +22,7 @@ Topology::Topology(const Garment& garment) {
   for (std::int32_t i = 0; i < vertices; ++i) rest[i] = {garment.rest(i, 0), garment.rest(i, 1)};
   faces.resize(garment.face_count());
   for (std::size_t f = 0; f < faces.size(); ++f)
-    for (int i = 0; i < 3; ++i) faces[f][i] = garment.faces(static_cast<Index>(f), i);
+    for (int i = 0; i < 3; ++i) faces[f][i] = garment.faces(f, i);
   measure_faces();
   join_faces();
   find_components();

@@ -12,7 +12,8 @@ constexpr Index kSize = 5;  // theta, r, phi, ax, ay
 enum : Index { kTheta, kR, kPhi, kAx, kAy };
 constexpr double kRadians = std::numbers::pi / 180.0;
 
-/// cos and sin of an angle in degrees, exact at multiples of 90: the paths of figures and tests end where they should.
+/// cos and sin of an angle in degrees, exact at multiples of 90, so that paths end exactly where figures and tests
+/// expect.
 struct Turn {
   explicit Turn(double deg) : cos(std::cos(deg * kRadians)), sin(std::sin(deg * kRadians)) {
     if (std::remainder(deg, 90.0) == 0.0) {
@@ -65,7 +66,7 @@ std::vector<Variable> Arc::controls() const {
 }
 
 std::vector<Variable> Arc::state() const {
-  // Bounds hold for a workspace of 10 m and ten turns; r and a start where the manipulation says.
+  // These bounds cover a workspace of 10 m and ten turns. The manipulation gives r and a at the start.
   return {{"theta", "deg", -3600.0, 3600.0, 0.0, 180.0},
           {"r", "m", p_.r_min_m, 10.0, p_.r_min_m, 0.1},
           {"phi", "deg", -3600.0, 3600.0, 0.0, 10.0},

@@ -45,7 +45,7 @@ struct Params {
 ///     g_i = (a, 0) + cos(t) u_i d' + eps_i T + [-sin(t) u_i + (h/2)(1 - cos(t))] z,  z >= contact height
 /// delta_i, eps_i: offsets of grasp point i from c_0 along d and z x d at the start.
 /// At theta = 180 deg the grasp points are mirrored across the line through a along T, at height h.
-/// Derivatives are exact; beyond a clamp they are 0, on it they are those of the inside.
+/// Derivatives are exact. Beyond a clamp they are 0; on it they are those of the inside.
 class Arc final : public Trajectory {
  public:
   explicit Arc(const Params& params) : p_(params) {}

@@ -7,11 +7,11 @@
 namespace weft::spline {
 namespace {
 
-// Weight in encode() of a segment that starts after release, where the cloth lies already: enough to settle what
-// nothing else does.
+// Weight in encode() of a segment that starts after release, when the cloth lies already. It only settles what no other
+// segment settles.
 constexpr double kReleasedWeight = 1e-3;
 
-// Fewer than this of progress left: the whole plan sits at the spline's start.
+// With less progress left than this, the whole plan sits at the spline's start.
 constexpr double kLeastProgressLeft = 1e-9;
 
 /// d progress / d state by central differences with a step as large as the state's scale: exact where progress is
@@ -20,7 +20,7 @@ Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
   const auto variables = trajectory.state();
   Vector gradient(state.size());
   for (Index s = 0; s < state.size(); ++s) {
-    const double step = 1e-4 * variables[static_cast<std::size_t>(s)].scale;
+    const double step = 1e-4 * variables[s].scale;
     Vector up = state, down = state;
     up[s] += step;
     down[s] -= step;
@@ -40,7 +40,7 @@ struct Spline::Place {
 Spline::Spline(const Params& params, Host& host)
     : geometry_(host.create<Trajectory>(params.geometry)),
       points_(params.control_points),
-      columns_(static_cast<Index>(geometry_->controls().size())),
+      columns_(geometry_->controls().size()),
       by_progress_(params.over == "progress") {}
 
 Spline::Place Spline::place(double t) const {
@@ -111,7 +111,7 @@ Vector Spline::decode_pullback(ConstVec x, Index horizon, ConstVec state, const 
     return j == 0 ? first : geometry_->progress(states.row(j - 1).transpose());
   };
 
-  // dL/d controls of a segment, by themselves and through the places of the later ones.
+  // dL/d controls of a segment, directly and through the spline parameters of the later segments.
   Controls d_rows = d_controls;
   const auto add_place = [&](Index j, Vector& d_state) {
     const Index next = j + 1;

@@ -19,25 +19,25 @@ struct Params {
     v("geometry", geometry, PluginSlot{"trajectory"}, "Trajectory whose controls the spline makes.");
     v("control_points", control_points, range(4, 100), "Control points per control variable.");
     v("over", over, choice({"progress", "horizon"}),
-      "What the spline runs over: the progress from the start of the plan to release, or the segments of the horizon.");
+      "Parameter of the spline: the progress from the start of the plan to release, or the segments of the horizon.");
   }
 };
 
 /// Few, smooth controls: every control variable of another trajectory (the arc) is a uniform cubic B-spline
-///     m_c(t) = sum_{i=0..3} B_i(t - floor t) x_{floor t + i, c},   t in [0, K - 3],
-///     B_0 = (1 - s)^3 / 6,  B_1 = (3 s^3 - 6 s^2 + 4) / 6,  B_2 = (-3 s^3 + 3 s^2 + 3 s + 1) / 6,  B_3 = s^3 / 6   [de
-///     Boor 1978]
-/// over K control points. Segment j takes its controls at
+/// [de Boor 1978] over K control points:
+///     m_c(t) = sum_{i=0..3} B_i(s) x_{floor t + i, c},   t in [0, K - 3],   s = t - floor t,
+///     B_0 = (1 - s)^3 / 6,  B_1 = (3 s^3 - 6 s^2 + 4) / 6,  B_2 = (-3 s^3 + 3 s^2 + 3 s + 1) / 6,  B_3 = s^3 / 6.
+/// Segment j takes its controls at
 ///     over progress:  t_j = (K - 3) (p_j - p_0) / (1 - p_0), p_j the progress at the start of the segment, at most 1;
 ///     over horizon:   t_j = (K - 3) j / (horizon - 1).
 /// Geometry, controls, state and release are the other trajectory's, so a predictor trained for it serves this one.
 /// A B-spline stays within its control points: a box of control bounds decodes into the control bounds.
 ///
-/// Over progress, decode() is a recursion (the pace decides how far the spline has come), and decode_pullback() runs it
-/// backwards. The other trajectory's advance() must not depend on the manipulation there, for decode() is not told it.
-/// encode() is the linear least squares fit at the progress that the given controls themselves have; segments that
-/// start after release hardly count. Exact for what decode() made; of the fits that are equally good, that nearest the
-/// mean.
+/// Over progress, decode() is a recursion, because the pace decides how far the spline has come. decode_pullback() runs
+/// it backwards. The other trajectory's advance() must then not depend on the manipulation, which decode() does not
+/// know. encode() is the linear least squares fit at the progress of the given controls. Segments that start after
+/// release hardly count. The fit is exact for controls that decode() made. Of equally good fits it is the one nearest
+/// the mean.
 class Spline final : public Trajectory {
  public:
   Spline(const Params& params, Host& host);

@@ -169,7 +169,7 @@ class ToyPrediction final : public PlainPrediction {
 
  private:
   bool is(const char* mutation) const { return p_.mutation == mutation; }
-  /// What authors forget to fill in, or divide by zero.
+  /// Mistakes of authors: entries not filled in, and divisions by zero.
   std::vector<CaseGradient> broken(std::vector<CaseGradient> all) const {
     for (auto& g : all) {
       if (is("no_d_controls")) g.controls.resize(0, 0);
@@ -181,7 +181,7 @@ class ToyPrediction final : public PlainPrediction {
       if (is("nan_d_state") && g.state.size() > 0) g.state[0] = kNaN;
       if (is("short_d_shape")) g.shape = Positions::Zero(1, 3);
       if (is("nan_d_shape") && g.shape.rows() > 0) g.shape(0, 0) = kNaN;
-      // Planning's requests alone.
+      // Only the requests of planning.
       if (is("nan_d_controls_of_means") && request_.moments == Moments::mean) g.controls(0, 0) = kNaN;
     }
     if (is("gradient_of_one_case")) all.resize(1);
@@ -270,7 +270,7 @@ class ToyPredictor final : public Predictor {
  private:
   static constexpr Index kMostSegments = 5;
   bool is(const char* mutation) const { return p_.mutation == mutation; }
-  /// A mutant does not look at what it should refuse.
+  /// A mutant skips the checks that should refuse its input.
   void check(std::vector<PredictionCase> cases) const {
     for (auto& c : cases) {
       if (is("refuses_bad_shapes")) c.previous.reset();

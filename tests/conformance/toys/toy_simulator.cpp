@@ -7,8 +7,8 @@
 
 namespace weft::toy {
 
-/// Cloth without threads: every vertex is a particle of its own that falls, lands, slides and is carried. Of layers it
-/// knows one thing: what was released comes to rest a little above the rest.
+/// Cloth without threads: every vertex is a particle of its own that falls, lands, slides and is carried. Its only
+/// notion of layers: a released vertex comes to rest a little above the others.
 class ToySimulator final : public Simulator {
  public:
   explicit ToySimulator(const Params& params) : p_(params) {}
@@ -94,7 +94,7 @@ class ToySimulator final : public Simulator {
       if (is("translation_changes_nothing") && !s_.held.empty()) s_.x(v, 0) += 1e-5 * s_.x(v, 0);
       if (is("turn_about_z_changes_nothing") && !s_.held.empty()) s_.x(v, 0) += 1e-5;
     }
-    // A vertex beside the carried corner comes up through what that corner spans.
+    // A vertex beside the carried corner rises through the face that the corner spans.
     if (is("layers_do_not_cross") && s_.loft[0]) s_.x(2, 2) = 0.05;
     ++s_.frame;
     if (!is("non_finite_state_never_leaves") && !(s_.x.allFinite() && s_.v.allFinite())) {

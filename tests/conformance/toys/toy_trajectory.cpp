@@ -9,8 +9,8 @@
 
 namespace weft::toy {
 
-/// Lift and carry: state (s, side m), g_i = g0_i + s d + side (z x d / |d|), lifted by |d|/2 sin(pi s) + h s; s in [0,
-/// 1]. Mutations nan_* put one NaN into what the function of that name returns.
+/// Lift and carry: state (s, side m), g_i = g0_i + s d + side (z x d / |d|), lifted by |d|/2 sin(pi s) + h s;
+/// s in [0, 1]. Mutations nan_* put one NaN into the result of the function of that name.
 class ToyTrajectory final : public Trajectory {
  public:
   explicit ToyTrajectory(const Params& params) : p_(params) {}

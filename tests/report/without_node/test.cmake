@@ -1,4 +1,4 @@
-# Run with -P. Without node, and without a network, the build goes on and says why there is no page.
+# Run with -P. Without node, and without a network, the build continues and says why there is no page.
 # REPORT: apps/report; SCRIPT: cmake/WeftReport.cmake; WORK: scratch folder, emptied first; GENERATOR, MAKE.
 file(REMOVE_RECURSE ${WORK})
 function(expect_reason folder reason)

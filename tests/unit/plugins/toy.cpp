@@ -10,7 +10,7 @@ struct Params {
   }
 };
 
-/// Its progress tells which parameters it was made with.
+/// Its progress shows the parameters it was made with.
 class Toy final : public weft::test::ToyTrajectory {
  public:
   explicit Toy(const Params& params) : speed_(params.speed) {

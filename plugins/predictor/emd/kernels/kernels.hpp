@@ -3,25 +3,26 @@
 
 namespace weft::emd {
 
-/// The inner loops of prediction, in one version per instruction set; the best that the processor has is chosen once.
+/// The inner loops of prediction, in one version per instruction set. The program chooses the processor's best version
+/// once.
 ///
-/// Every element of a product is the same sequence of fused multiply-adds over k, whatever row it stands in and however
-/// many rows there are. That is what makes a batched prediction equal, bit for bit, to the same case alone; a general
-/// BLAS does not promise it, and packs the weights again in every call, which for 16 rows costs more than the product.
+/// Every element of a product is the same sequence of fused multiply-adds over k, in any row and for any number of
+/// rows. So a batched prediction equals, bit for bit, the prediction of the same case alone. A general BLAS does not
+/// promise that. It also packs the weights again in every call, which costs more than the product for 16 rows.
 struct Kernels {
   const char* name;
   std::size_t panel;  ///< columns of a packed panel
 
   /// Floats that pack() writes for a [k, n] matrix.
   std::size_t packed_size(std::size_t k, std::size_t n) const { return (n + panel - 1) / panel * panel * k; }
-  /// B [k, n] with the given row and column stride into panels of `panel` columns, padded with zeros.
+  /// Packs B [k, n], with the given row and column stride, into panels of `panel` columns, padded with zeros.
   void pack(std::size_t k, std::size_t n, const float* b, std::size_t row_stride, std::size_t column_stride,
             float* packed) const;
 
   /// C [m, n] = start + A [m, k] B, start = C itself when `accumulate`, else the bias [n], or 0 when it is null.
   void (*gemm)(std::size_t m, std::size_t k, std::size_t n, const float* a, std::size_t lda, const float* packed,
                float* c, std::size_t ldc, const float* bias, bool accumulate);
-  /// y = f(x), elementwise; x and y may be the same. tanh instead of silu by flag.
+  /// y = f(x), elementwise, with f = tanh if the flag is set, else silu. x and y may be the same.
   void (*activate)(std::size_t count, const float* x, float* y, bool use_tanh);
   /// g *= f'(x).
   void (*activate_pullback)(std::size_t count, const float* x, float* g, bool use_tanh);

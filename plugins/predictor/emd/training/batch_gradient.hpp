@@ -6,7 +6,7 @@
 
 namespace weft::emd {
 
-/// Loss and gradient of a batch, in parts that are differentiated side by side. The parts are the same on any number of
+/// Loss and gradient of a batch, in parts that are differentiated in parallel. The parts do not depend on the number of
 /// threads.
 class BatchGradient {
  public:

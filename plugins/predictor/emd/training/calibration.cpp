@@ -1,5 +1,5 @@
-// The calibration pass: compares predictions of examples with what became of them, and finds the factors and lengths
-// that bring sigma to the errors. Part of the training library; libtorch runs the network.
+// The calibration pass: compares predictions of examples with their recorded shapes, and finds the factors and lengths
+// that fit sigma to the errors. Part of the training library; libtorch runs the network.
 #include "calibration.hpp"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ struct Kind {
   bool is_known;    ///< material known exactly, or not at all
 };
 
-/// For the first dataset and for all others together: these are of other distributions.
+/// One for the first dataset and one for all others together, since their distributions differ.
 template <class T>
 using PerSource = std::array<T, 2>;
 
@@ -38,7 +38,7 @@ PerSource<std::vector<Sequence>> sequences_of(const Passes& passes, const std::v
   for (const std::size_t i : examples) {
     RandomStream random = streams.child(i);
     const auto& e = passes.example(i);
-    // From start 0 the network sees no velocity and makes other errors: it counts for the rows from the start alone.
+    // At start 0 the network sees no velocity and makes other errors. It counts for the rows from the start only.
     if (!kind.from_start && e.segments() < 2) continue;
     for (int repeat = 0; repeat < (kind.from_start ? 1 : kStarts); ++repeat) {
       Sequence s;
@@ -59,7 +59,7 @@ void tally_errors(Passes& passes, const Graph& graph, const std::vector<Sequence
   std::vector<std::vector<SigmaTally>> of_batch(Passes::batches(sequences));
   passes.side_by_side(of_batch.size(), [&](std::size_t b) {
     const at::NoGradGuard guard;
-    const Batch batch = passes.batch(sequences, b);  // one at a time: all of them would be all shapes many times
+    const Batch batch = passes.batch(sequences, b);  // one at a time: together they would hold every shape many times
     const Graph::Output out = passes.forward(graph, batch);
     const Tensor error = (out.mean - passes.target(batch)).contiguous(),
                  sigma = sigma_of(passes.model(), out.log_sigma).value.contiguous();
@@ -75,10 +75,10 @@ void tally_errors(Passes& passes, const Graph& graph, const std::vector<Sequence
   }
 }
 
-/// The shapes that choose sigma after j + 1 segments. Few sequences are long: a number of segments with few shapes
-/// borrows from the other datasets, though no more than it has itself, then from its neighbours, from theirs, and from
-/// farther off.
-/// @param enough shapes that it borrows up to.
+/// The shapes that choose sigma after j + 1 segments. Few sequences are long, so a number of segments with few shapes
+/// borrows more: from the other datasets, though no more than it has itself, then from its neighbours, from theirs, and
+/// so on.
+/// @param enough it stops borrowing at this number of shapes.
 SigmaTally with_neighbours(const PerSource<std::vector<SigmaTally>>& steps, std::size_t j, double enough) {
   SigmaTally sum;
   const auto fill = [&](const std::vector<SigmaTally>& of, std::size_t from, std::size_t to) {
@@ -128,7 +128,7 @@ CalibrationRow find_row(Passes& passes, const std::vector<CalibrationPart>& part
     row.shapes.push_back(static_cast<std::int64_t>(steps[0][j].shapes()));
     row.factor.push_back(choice.factor);
     const double added_m = choice.added * kLength;
-    row.added_m.push_back(std::round(1e7 * added_m) / 1e7);  // without the noise of floats
+    row.added_m.push_back(std::round(1e7 * added_m) / 1e7);  // drops the rounding noise of floats
   }
   return row;
 }
@@ -171,9 +171,9 @@ struct Folds {
   std::vector<std::vector<float>> weights;
 };
 
-/// Refits the sigma layer: once without each fold, and once to all examples. If held-out examples are likelier with the
-/// layers of the first kind than with the model's own, the model gets the layer of the last fit; else nothing changes.
-/// @return what to predict the examples with, for their errors.
+/// Refits the sigma layer once without each fold and once to all examples. The model gets the layer fitted to all
+/// examples if the other refits make their held-out folds likelier than its own layer does. Else nothing changes.
+/// @return the weights with which to predict the examples for their errors.
 Folds refit_sigma_layer(Passes& passes, CalibrationJob& job) {
   Folds folds;
   const auto& t = job.training;
@@ -221,7 +221,7 @@ Folds refit_sigma_layer(Passes& passes, CalibrationJob& job) {
   }
   told["fitted"] = is_better;
   job.report.json = nlohmann::ordered_json{{"sigma_layer", told}}.dump();
-  if (!is_better) folds = {{job.examples}, {job.model.weights}};  // which was not fitted to any of them
+  if (!is_better) folds = {{job.examples}, {job.model.weights}};  // the old layer was not fitted to any of them
   return folds;
 }
 

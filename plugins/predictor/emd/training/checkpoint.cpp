@@ -76,7 +76,7 @@ std::optional<FitState> Checkpoint::load(Model& model) const {
   if (path_.empty() || !std::filesystem::exists(path_)) return std::nullopt;
   const auto refuse = [&](const std::string& reason) { throw ConfigError(path_.string() + ": " + reason); };
   const auto file = Hdf5File::open(path_);
-  if (!file.has("/schema") || file.read_text("/schema") != kSchema) refuse("is no checkpoint of the predictor emd");
+  if (!file.has("/schema") || file.read_text("/schema") != kSchema) refuse("is not a checkpoint of the predictor emd");
   if (file.read_text("/identity") != identity_) {
     refuse("belongs to a fit with other settings or data; remove it to start again");
   }

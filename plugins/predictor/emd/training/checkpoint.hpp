@@ -17,8 +17,8 @@ struct CurvePoint {
   double training_loss = 0.0, validation_loss = 0.0, validation_error_mm = 0.0, rate = 0.0;
 };
 
-/// State of a fit between two iterations. Batches are functions of (seed, iteration), so that this and the model's
-/// normalisation are all that a fit needs to go on to the same bits.
+/// State of a fit between two iterations. Batches are functions of (seed, iteration). So a fit that resumes from this
+/// state and the model's normalisation gives the same bits.
 struct FitState {
   std::vector<float> weights, average;             ///< [Layout::size]; average: moving average of the weights
   std::vector<float> first_moment, second_moment;  ///< [Layout::size], of Adam; SignSGD has no second_moment
@@ -27,7 +27,7 @@ struct FitState {
   std::int64_t best_iteration = 0;
   std::int64_t without_best = 0;  ///< evaluations since the best one
   double rate = 0.0;              ///< learning rate
-  double time_used = 0.0;         ///< share of the time limit that was over at the last evaluation, in [0, 1]
+  double time_used = 0.0;         ///< share of the time limit used up at the last evaluation, in [0, 1]
   double seconds = 0.0;           ///< spent by all processes up to the checkpoint
   std::int64_t loss_count = 0;    ///< iterations since the last evaluation
   double loss_sum = 0.0;          ///< of their training losses
@@ -39,7 +39,7 @@ struct FitState {
   double mean_training_loss() const { return loss_count > 0 ? loss_sum / loss_count : 0.0; }
 };
 
-/// The file that a killed fit goes on from. Does nothing when it has no path.
+/// The file from which a killed fit resumes. Without a path it does nothing.
 class Checkpoint {
  public:
   /// @param train, validation numbers of examples: a checkpoint belongs to one fit, with its data and settings.

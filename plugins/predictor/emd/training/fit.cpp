@@ -41,7 +41,7 @@ struct Examples {
   }
 };
 
-/// What the job says of the model, before anything is learned.
+/// The untrained model that the job describes.
 void describe_model(FitJob& job) {
   Model& model = job.model;
   model.architecture = job.architecture;
@@ -125,7 +125,8 @@ class Fit {
     ++state_.iteration;
   }
 
-  /// Evaluates when it is time for it; reports then, and every 10 s. @return false when the observer wants no more.
+  /// Evaluates when an evaluation is due. Reports after it, and every 10 s. @return false when the observer stops the
+  /// fit.
   bool evaluate_and_report() {
     const bool is_due = state_.iteration % t_.evaluate_every == 0 || state_.iteration == t_.iterations;
     if (is_due) evaluate();
@@ -190,7 +191,7 @@ class Fit {
 
   void save_best() {
     model_.weights = state_.best_weights;
-    // Nothing of the clock in here: the same fit gives the same file.
+    // No times in here: the same fit gives the same file.
     const ordered_json json{{"examples", examples_.train.size()},
                             {"iterations", state_.best_iteration},
                             {"validation_loss", state_.best_loss},

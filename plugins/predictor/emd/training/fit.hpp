@@ -4,8 +4,8 @@ namespace weft::emd {
 
 struct FitJob;
 
-/// Fits a model to the train split of the job's dataset, steered by the validation split; goes on from the job's
-/// checkpoint if there is one. @throws what TrainablePredictor::fit throws.
+/// Fits a model to the train split of the job's dataset and keeps the best one on the validation split. Resumes from
+/// the job's checkpoint if there is one. @throws what TrainablePredictor::fit throws.
 void fit(FitJob& job);
 
 }  // namespace weft::emd

@@ -7,7 +7,7 @@ namespace weft::emd {
 
 /// Adam: a linear rise over `warmup` iterations, times half a cosine wave from `rate` to `final_rate`.
 /// @param iteration iterations done.
-/// @param time_used with a time limit: share of it that is over; the decay is over by then, too.
+/// @param time_used used share of the time limit, if there is one, in [0, 1]; the decay ends with it.
 double cosine_rate(const Training& training, std::int64_t iteration, double time_used);
 
 /// SignSGD: the rate after an evaluation without a new best: halved after every `patience` of them.

@@ -5,7 +5,7 @@
 namespace weft::emd {
 namespace {
 
-/// What both the loss and its gradient are made of, all [wanted, coordinates].
+/// Terms that the loss and its gradient share, all [wanted, coordinates].
 struct Residuals {
   Sigma sigma;
   Tensor difference;  ///< mu - x

@@ -90,7 +90,7 @@ void find_input_statistics(const Passes& passes, const std::vector<std::size_t>&
     const double mean = sum[k] / count;
     const double variance = squares[k] / count - mean * mean;
     model.input_mean[k] = static_cast<float>(mean);
-    // A variable that never changed is left out: whatever it does later moves the input little.
+    // A variable that never changed gets a huge deviation, so that later changes hardly move the input.
     model.input_sd[k] = variance > 1e-12 * (1e-6 + mean * mean) ? static_cast<float>(std::sqrt(variance)) : 1e3f;
   }
   // Release and knowledge are standardised alike for all data.

@@ -10,7 +10,7 @@
 namespace weft::emd {
 namespace {
 
-constexpr std::size_t kChunks = 64;  // of the weights, for what is done to each of them
+constexpr std::size_t kChunks = 64;  // of the weights, for work on each single weight
 
 }  // namespace
 

@@ -1,6 +1,6 @@
 #pragma once
-// The network on libtorch, and the batches of examples that go through it: what training and calibration share. Only
-// for the training library.
+// The network on libtorch, and the batches of examples that go through it. Training and calibration share both. Part of
+// the training library.
 #include <ATen/ATen.h>
 #include <ATen/Parallel.h>
 
@@ -157,7 +157,7 @@ class Passes {
  public:
   /// Keeps references to all of them.
   Passes(const Dataset& dataset, const Model& model, Host& host) : dataset_(dataset), model_(model), host_(host) {
-    at::set_num_threads(1);  // parts of a batch run side by side instead
+    at::set_num_threads(1);  // parts of a batch run in parallel instead
   }
   const Dataset& dataset() const { return dataset_; }
   const Model& model() const { return model_; }

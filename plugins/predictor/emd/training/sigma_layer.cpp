@@ -14,8 +14,8 @@ constexpr std::int64_t kBatch = 32;
 constexpr std::uint64_t kFitStream = 0x7369676d61ull;     // "sigma"
 constexpr std::uint64_t kLossStream = 0x6865646f7574ull;  // "hedout"
 
-/// How sequences are drawn: half of them from the start, and a third each with exact knowledge, with none and between,
-/// for these are what is calibrated.
+/// How sequences are drawn: half of them from the start; a third each with exact knowledge, with none and between.
+/// These are the cases that are calibrated.
 Training shares() {
   Training t;
   t.start_share = 0.5;
@@ -69,8 +69,8 @@ std::vector<float> fit_sigma_layer(const Passes& passes, const std::vector<std::
     const Terms terms = terms_of(passes, out, batch, tails);
     const Tensor d = terms.d_log_sigma / static_cast<double>(terms.d_log_sigma.size(0));
     const Tensor gradients[] = {at::mm(out.hidden.t(), d), at::sum(d, {0}, true)};
-    // Adam, its rate falling to 0 as half a cosine wave. Coordinates do not meet in this layer, so that their number
-    // does not enter the gradient.
+    // Adam, with a rate that falls to 0 as half a cosine wave. Coordinates are independent in this layer, so their
+    // number does not enter the gradient.
     const double n = static_cast<double>(k) + 1.0;
     const double rate =
         0.5 * kRate * (1.0 + std::cos(std::numbers::pi * static_cast<double>(k) / static_cast<double>(iterations)));

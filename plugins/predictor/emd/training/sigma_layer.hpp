@@ -10,13 +10,13 @@ class Passes;
 
 /// The loss of the sigma layer: with r = (x - mu) / sigma, the mean over coordinates of
 ///   log sigma + (1 - 3 t) r^2 / 2 + t r^4 / 4.
-/// For normal errors its minimum lies at sigma's true value, whatever t is. With t > 0 sigma is wider where errors have
-/// heavy tails: there the plain likelihood (t = 0) leaves a mean squared error that a few shapes make up.
-/// Beyond r^2 = kTailEnd the term r^4 goes on linearly in r^2, so that no single buckle decides.
+/// For normal errors its minimum lies at sigma's true value, for any t. With t > 0 sigma gets wider where errors
+/// have heavy tails. There the plain likelihood (t = 0) leaves a mean squared error that comes from a few shapes.
+/// Beyond r^2 = kTailEnd the term r^4 continues linearly in r^2, so that no single buckle dominates.
 inline constexpr float kTailEnd = 60.0f;
 
-/// Fits the decoder's sigma layer (Ws, bs of Layout) of the passes' model to examples. No other weight changes, so that
-/// every mean stays the same. Runs on the thread that calls it.
+/// Fits the decoder's sigma layer (Ws, bs of Layout) of the passes' model to examples. No other weight changes, so the
+/// means stay the same. Runs on the calling thread.
 /// @param examples positions in the dataset, [n].
 /// @param passes_over how often each example is drawn, on average.
 /// @param tails t, in [0, 1/3].

@@ -10,11 +10,11 @@
 
 namespace weft::emd {
 
-/// What is added to sigma in quadrature, and the factor on it: sigma' = factor sqrt(sigma^2 + added^2).
+/// Calibration of sigma: sigma' = factor sqrt(sigma^2 + added^2).
 ///
-/// Errors have heavier tails than a normal distribution of the network's sigma: where cloth nearly always lies still,
-/// now and then a buckle stands. A factor alone cannot bring both the mean normalised squared error to 1 and the share
-/// within one sigma to 0.683; a length added in quadrature takes those tails, and widens what is certain by little.
+/// Errors have heavier tails than a normal distribution of the network's sigma: cloth that nearly always lies still now
+/// and then has a buckle. A factor alone cannot bring the mean normalised squared error to 1 and the share within one
+/// sigma to 0.683. The added length covers those tails, and widens certain predictions only by little.
 class SigmaTally {
  public:
   struct Choice {
@@ -57,14 +57,14 @@ class SigmaTally {
   }
   double shapes() const { return shapes_; }
 
-  /// The most likely choice of those that are well within 0.8 to 1.25 (mean normalised squared error) and 0.62 to 0.74
-  /// (share within one sigma); if there is none, the one that is least outside.
+  /// The likeliest choice of those that are well within 0.8 to 1.25 (mean normalised squared error) and 0.62 to 0.74
+  /// (share within one sigma). If there is none, the choice that is least outside.
   Choice choose() const {
     Choice best;
     double least = std::numeric_limits<double>::infinity();
     for (std::size_t a = 0; a < kAdded.size(); ++a) {
       const auto [mean, error] = mean_square(a);
-      const double expected = mean + error;  // most samples of a distribution with such tails have too few of them
+      const double expected = mean + error;  // most samples of a heavy-tailed distribution have too few tail values
       for (std::size_t f = 0; f < kFactors; ++f) {
         const double factor = std::exp(std::log(kLeast) + static_cast<double>(f) * spacing());
         const double off = std::max(std::abs(std::log(expected / (factor * factor))) / (kSquare * std::log(1.25)),
@@ -84,11 +84,11 @@ class SigmaTally {
   static constexpr std::size_t kFactors = 97;
   static constexpr double kLeast = 0.4, kMost = 2.5;
   static constexpr std::array<double, 8> kAdded = {0.0, 0.15e-3, 0.3e-3, 0.6e-3, 1.2e-3, 1.8e-3, 2.7e-3, 4.0e-3};  // m
-  /// How much of the way to the bounds may be used. More is likelier, and fewer fresh samples of some hundred shapes
-  /// are within the bounds.
+  /// How much of the way to the bounds may be used. With more the choice is likelier, but fewer fresh samples of some
+  /// hundred shapes stay within the bounds.
   static constexpr double kSquare = 0.5, kInside = 0.65;
-  /// One fold in some thousand ends up elsewhere altogether, with a square of hundreds: it counts as this many medians,
-  /// or sigma of all others would be what this one needs.
+  /// About one fold in a thousand ends up somewhere else entirely, with a square of hundreds. It counts as this many
+  /// medians, so that it does not set the sigma of all others.
   static constexpr double kMedians = 20.0;
   static double spacing() { return std::log(kMost / kLeast) / static_cast<double>(kFactors - 1); }
 

@@ -3,6 +3,7 @@
 #include <set>
 
 #include "experiments/estimation_evaluation.hpp"
+#include "experiments/planning_evaluation.hpp"
 #include "test_support.hpp"
 
 namespace weft {
@@ -112,7 +113,7 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
   const double errors[5] = {5, 6, 7, 8, 50};
   for (std::size_t a = 0; a < 2; ++a) {
     for (std::size_t i = 0; i < 5; ++i) {
-      AblationRow row{a, column.plan.seeds[i], "", {}};
+      SweepRow row{a, column.plan.seeds[i], "", {}};
       row.outcome.metrics = {{"error_mm", errors[i]}, {"plan_seconds", 2.0}};
       if (a == 1 && i == 4) row.failure = "diverged";
       column.rows.push_back(row);
@@ -137,28 +138,42 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
   EXPECT_THAT(planning_evaluation_table(column), testing::HasSubstr("0.10    5      7.00     15.20"));
 }
 
-TEST(EstimationEvaluation, TableOneAndTheSequences) {
+/// A row as the runner leaves it: two segments, all properties alike.
+SweepRow row_of(std::size_t arm, std::uint64_t seed, double q, double c, double w) {
+  SweepRow row{arm, seed, "", {}};
+  row.outcome.payload = to_payload({all(q), {interval(0.5, 0.9), interval(c, w)}, std::nullopt});
+  row.outcome.metrics = {{"segments", 2.0}, {"slowest_estimate_seconds", 0.25}};
+  return row;
+}
+/// The same as rows were before they had payloads.
+SweepRow row_of_metrics(std::size_t arm, std::uint64_t seed, double q, double c, double w) {
+  SweepRow row{arm, seed, "", {}};
+  auto& m = row.outcome.metrics;
+  for (const char* p : kPropertyNames) m.emplace_back(std::string("q_") + p, q);
+  m.emplace_back("segments", 2.0);
+  for (const char* step : {"01", "02"}) {
+    for (const char* p : kPropertyNames) {
+      m.emplace_back(std::string("c_") + p + "_" + step, step[1] == '2' ? c : 0.5);
+      m.emplace_back(std::string("w_") + p + "_" + step, step[1] == '2' ? w : 0.9);
+    }
+  }
+  m.emplace_back("slowest_estimate_seconds", 0.25);
+  return row;
+}
+EvaluationColumn two_methods(SweepRow (*make)(std::size_t, std::uint64_t, double, double, double)) {
   EvaluationColumn column;
   column.cases = choose_cases("fresh", 2, 1, nullptr);
   column.plan = estimation_evaluation(ConfigNode::parse("{seed: 1}", "test"), {"plain", "prior"}, {}, column.cases);
-  const auto add = [&](std::size_t arm, std::size_t i, double q, double c, double w) {
-    AblationRow row{arm, column.plan.seeds[i], "", {}};
-    auto& m = row.outcome.metrics;
-    for (const char* p : kPropertyNames) m.emplace_back(std::string("q_") + p, q);
-    m.emplace_back("segments", 2.0);
-    for (const char* step : {"01", "02"}) {
-      for (const char* p : kPropertyNames) {
-        m.emplace_back(std::string("c_") + p + "_" + step, step[1] == '2' ? c : 0.5);
-        m.emplace_back(std::string("w_") + p + "_" + step, step[1] == '2' ? w : 0.9);
-      }
-    }
-    m.emplace_back("slowest_estimate_seconds", 0.25);
-    column.rows.push_back(row);
-  };
-  add(0, 0, 0.30, 0.32, 0.01);  // too narrow, but near: no failure
-  add(0, 1, 0.30, 0.45, 0.10);  // a failure
-  add(1, 0, 0.30, 0.32, 0.20);
-  add(1, 1, 0.30, 0.45, 0.40);  // far, and its interval holds the truth: no failure
+  const auto& seeds = column.plan.seeds;
+  column.rows = {make(0, seeds[0], 0.30, 0.32, 0.01),  // too narrow, but near: no failure
+                 make(0, seeds[1], 0.30, 0.45, 0.10),  // a failure
+                 make(1, seeds[0], 0.30, 0.32, 0.20),
+                 make(1, seeds[1], 0.30, 0.45, 0.40)};  // far, and its interval holds the truth: no failure
+  return column;
+}
+
+TEST(EstimationEvaluation, TableOneAndTheSequences) {
+  const EvaluationColumn column = two_methods(row_of);
   const json result = json::parse(estimation_evaluation_json({column}));
   const json& plain = result["properties"]["bend"];
   EXPECT_NEAR(plain["abs_error"]["mean"].get<double>(), 0.085, 1e-12);
@@ -178,6 +193,55 @@ TEST(EstimationEvaluation, TableOneAndTheSequences) {
   EXPECT_THAT(estimation_evaluation_table(result.dump()),
               testing::HasSubstr("plain      bend          2         0.085"));
   EXPECT_THROW(estimation_evaluation(ConfigNode::parse("{seed: 1}", "test"), {"best"}, {}, column.cases), ConfigError);
+}
+
+TEST(EstimationEvaluation, RowsOfBeforePayloadsGiveTheSameResults) {
+  const EvaluationColumn now = two_methods(row_of), before = two_methods(row_of_metrics);
+  EXPECT_EQ(estimation_evaluation_json({before}), estimation_evaluation_json({now}));
+  EXPECT_EQ(estimation_evaluation_csv({before}), estimation_evaluation_csv({now}));
+  // With a posterior: mode, gradient, and precision by columns.
+  SweepRow row = row_of_metrics(0, 1, 0.3, 0.4, 0.5);
+  EXPECT_FALSE(estimation_case(row).posterior);
+  for (int i = 0; i < 24; ++i) row.outcome.metrics.emplace_back("posterior_" + std::to_string(i), 0.5 + i);
+  const MaterialPosterior posterior = estimation_case(row).posterior.value();
+  EXPECT_EQ(posterior.mode(3), 3.5);
+  EXPECT_EQ(posterior.gradient(0), 4.5);
+  EXPECT_EQ(posterior.precision(1, 0), 9.5);
+  EXPECT_EQ(posterior.precision(3, 3), 23.5);
+}
+
+TEST(EstimationEvaluation, CasesReadBackToTheSameBits) {
+  EstimationCase one{all(1.0 / 3.0), {interval(0.1 + 0.2, 0.7), interval(1e-17, std::nan(""))}, MaterialPosterior()};
+  RandomStream random(3);
+  for (Index i = 0; i < 16; ++i) one.posterior->precision.data()[i] = random.normal();
+  for (Index p = 0; p < 4; ++p) one.posterior->gradient(p) = random.normal();
+  SweepRow row;
+  row.outcome.payload = to_payload(one);
+  const EstimationCase read = estimation_case(row);
+  EXPECT_EQ(read.truth, one.truth);
+  ASSERT_EQ(read.knowledge.size(), 2u);
+  EXPECT_EQ(read.knowledge[0].centre, one.knowledge[0].centre);
+  EXPECT_EQ(read.knowledge[1].centre, one.knowledge[1].centre);
+  EXPECT_TRUE(std::isnan(read.knowledge[1].width(2)));
+  EXPECT_EQ(read.posterior.value().mode, one.posterior->mode);
+  EXPECT_EQ(read.posterior->gradient, one.posterior->gradient);
+  EXPECT_EQ(read.posterior->precision, one.posterior->precision);
+}
+
+TEST(EstimationEvaluation, RefusesWhatIsNoCase) {
+  using testing::HasSubstr;
+  const auto refusal = [](const SweepPayload& payload) {
+    SweepRow row;
+    row.file = "cells/seed1.json";
+    row.outcome.payload = payload;
+    return test::message_of<ConfigError>([&] { estimation_case(row); });
+  };
+  SweepPayload payload = to_payload({all(0.3), {interval(0.5, 0.9)}, std::nullopt});
+  EXPECT_THAT(refusal({payload.schema, R"({"true_material": [0.1, 0.2], "knowledge": []})"}),
+              testing::AllOf(HasSubstr("cells/seed1.json"), HasSubstr("damaged")));
+  EXPECT_THAT(refusal({payload.schema, R"({"knowledge": []})"}), HasSubstr("true_material"));
+  EXPECT_THAT(refusal({"weft planning case 1", payload.json}), HasSubstr("weft planning case 1"));
+  EXPECT_THAT(refusal({}), HasSubstr("no estimate"));
 }
 
 }  // namespace

@@ -1,0 +1,89 @@
+#include "experiments/cells.hpp"
+
+#include <algorithm>
+
+#include "experiments/cpu_time.hpp"
+#include "experiments/physics/suite.hpp"
+#include "experiments/statistics.hpp"
+#include "sdk/fingerprint.hpp"
+#include "simulation/task_config.hpp"
+
+namespace weft {
+
+SweepOutcome run_session_cell(const ConfigNode& config, Host& host) {
+  SessionParams params;
+  read_params(config, params);
+  const double cpu_before = thread_cpu_seconds();
+  const SessionResult result = run_configured_session(params, config, host);
+  // With one thread everything but the solvers' own arithmetic runs here, so that others on the machine do not count.
+  const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
+  SweepOutcome outcome = session_outcome(result);
+  outcome.metrics.emplace_back("cpu_seconds", cpu_seconds);
+  return outcome;
+}
+
+SweepOutcome run_physics_cell(const ConfigNode& config, Host& host) {
+  PhysicsExperimentParams params;
+  read_params(config, params);
+  const auto task = std::make_shared<const Task>(make_task(params.task, config, host));
+  const auto cases = physics_cases(params.physics, task, config);
+  const PhysicsCase& one = cases.at(static_cast<std::size_t>(params.seed));
+  std::vector<SimulatorVariant> variants{simulator_variant("arm", host, task->simulator)};
+  const bool against_itself = task->simulator.to_yaml() == params.other.to_yaml();
+  if (one.test == "paired folds" && !params.other.is_null() && !against_itself)
+    variants.push_back(simulator_variant("other", host, params.other));
+
+  SweepOutcome outcome;
+  const auto worst = [&](const std::string& name, double value) {
+    for (auto& [known, largest] : outcome.metrics)
+      if (known == name) return void(largest = std::max(largest, value));
+    outcome.metrics.emplace_back(name, value);
+  };
+  double within = 1.0;
+  for (const PhysicsRow& row : one.run(variants)) {
+    if (row.variant != "arm") continue;
+    worst(row.test + ": " + row.quantity + (row.reference == 0.0 ? "" : ", error"), row.error);
+    if (row.cpu_ms_per_frame > 0.0) worst(row.test + ": CPU ms per frame", row.cpu_ms_per_frame);
+    if (!row.passed) within = 0.0;
+  }
+  outcome.metrics.emplace_back(one.test + ": within bounds", within);
+  outcome.paired_by = one.test + ", " + one.name;
+  return outcome;
+}
+
+SweepOutcome session_outcome(const SessionResult& result) {
+  SweepOutcome outcome;
+  std::uint64_t hash = fnv1a(result.goal.data(), sizeof(double) * static_cast<std::size_t>(result.goal.size()));
+  hash = fnv1a(result.start.data(), sizeof(double) * static_cast<std::size_t>(result.start.size()), hash);
+  if (result.true_material) hash = fnv1a(result.true_material->data(), sizeof(double) * 4, hash);
+  outcome.paired_by = hex_digits(hash);
+  double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, refinement_seconds = 0;
+  for (const auto& round : result.rounds) {
+    evaluations += static_cast<double>(round.plan.evaluations);
+    iterations += static_cast<double>(round.plan.iterations);
+    seconds += round.plan.seconds;
+    refinement_seconds += round.refinement_seconds;
+  }
+  for (const auto& estimate : result.estimates) estimate_seconds += estimate.seconds;
+  const bool planned = !result.rounds.empty();
+  const Plan first = planned ? result.rounds.front().plan : Plan();
+  outcome.metrics = {
+      {"error_mm", result.error_mm},
+      {"default_error_mm", result.default_error_mm},
+      {"released", result.released ? 1.0 : 0.0},
+      {"segments", static_cast<double>(result.rounds.size())},
+      {"first_plan_loss", planned ? first.loss : kNaN},
+      {"first_plan_predicted_error_mm", planned ? first.predicted_error_mm : kNaN},
+      {"first_plan_evaluations", planned ? static_cast<double>(first.evaluations) : kNaN},
+      {"first_plan_seconds", planned ? first.seconds : kNaN},
+      {"evaluations", evaluations},
+      {"iterations", iterations},
+      {"plan_seconds", seconds},
+      {"estimate_seconds", estimate_seconds},
+      {"refinement_seconds", refinement_seconds},
+      {"simulate_seconds", result.simulate_seconds},
+  };
+  return outcome;
+}
+
+}  // namespace weft

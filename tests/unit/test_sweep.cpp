@@ -1,0 +1,287 @@
+#include "experiments/sweep.hpp"
+
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cmath>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "test_support.hpp"
+
+namespace weft::test {
+namespace {
+
+struct Files {
+  Folder folder;
+  SweepOptions options(const std::string& name, SweepRunner runner, int jobs = 1) const {
+    SweepOptions o;
+    o.folder = folder / name;
+    o.jobs = jobs;
+    o.registry = std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{folder.path()});
+    o.runner = std::move(runner);
+    return o;
+  }
+  /// The only row in a sweep's folder.
+  std::filesystem::path only_row(const std::string& name) const {
+    std::filesystem::path row;
+    for (const auto& entry : std::filesystem::directory_iterator(folder / name / "cells")) row = entry.path();
+    return row;
+  }
+};
+
+SweepArm arm_of(const std::string& optimiser, int instances) {
+  SweepArm arm;
+  arm.name = optimiser + ", " + std::to_string(instances);
+  arm.levels = {optimiser, std::to_string(instances)};
+  arm.config = ConfigNode::parse(
+      "{optimiser: " + optimiser + ", planning: {instances: " + std::to_string(instances) + "}}", "test");
+  return arm;
+}
+SweepPlan six_arms() {
+  SweepPlan plan;
+  plan.factors = {"optimiser", "planning.instances"};
+  for (const char* optimiser : {"rprop", "mppi"})
+    for (const int instances : {1, 4, 16}) plan.arms.push_back(arm_of(optimiser, instances));
+  plan.seeds = {5, 6, 7};
+  return plan;
+}
+SweepPlan one_arm(std::vector<std::uint64_t> seeds) {
+  SweepPlan plan;
+  plan.factors = {"optimiser", "planning.instances"};
+  plan.arms = {arm_of("rprop", 1)};
+  plan.seeds = std::move(seeds);
+  return plan;
+}
+
+/// Arms differ by known amounts; a cell's number is a function of its config and seed only.
+SweepOutcome formula(const ConfigNode& config, Host&) {
+  const auto seed = static_cast<double>(config.at("seed").as_int());
+  const double instances = config.at("planning").at("instances").as_double();
+  const bool sampling = config.at("optimiser").as_string() == "mppi";
+  SweepOutcome outcome;
+  outcome.metrics = {{"error_mm", 10.0 * seed + (sampling ? 2.0 : 0.0) + 1.0 / instances},
+                     {"seconds", 0.5 * instances}};
+  outcome.paired_by = "case" + std::to_string(static_cast<int>(seed));
+  return outcome;
+}
+
+/// Everything that rows hold.
+std::string text_of(const std::vector<SweepRow>& rows) {
+  std::string text;
+  for (const auto& row : rows) {
+    text += std::to_string(row.arm) + " " + std::to_string(row.seed) + " " + row.failure + row.outcome.paired_by;
+    for (const auto& [name, value] : row.outcome.metrics) text += " " + name + "=" + std::to_string(value);
+    text += " " + row.outcome.payload.schema + row.outcome.payload.json + "\n";
+  }
+  return text;
+}
+
+TEST(Sweep, RowsComeInOrderWhateverTheNumberOfJobs) {
+  const Files s;
+  const auto plan = six_arms();
+  const auto one = run_sweep(plan, s.options("one", formula, 1));
+  const auto four = run_sweep(plan, s.options("four", formula, 4));
+  ASSERT_EQ(one.size(), 18u);
+  EXPECT_EQ(text_of(one), text_of(four));
+  for (std::size_t i = 0; i < 18; ++i) {
+    EXPECT_EQ(one[i].seed, 5 + i / 6);
+    EXPECT_EQ(one[i].arm, i % 6);
+  }
+}
+
+TEST(Sweep, SessionsGetTheirSeedAndOneThread) {
+  const Files s;
+  const auto plan = one_arm({9});
+  run_sweep(plan, s.options("out", [](const ConfigNode& session, Host& host) {
+    EXPECT_EQ(host.seed(), 9u);
+    EXPECT_EQ(host.threads(), 1);
+    return formula(session, host);
+  }));
+  auto wide = one_arm({9});
+  wide.arms[0].config = wide.arms[0].config.with("threads", ConfigNode::integer(3));
+  run_sweep(wide, s.options("wide", [](const ConfigNode& session, Host& host) {
+    EXPECT_EQ(host.threads(), 3);
+    return formula(session, host);
+  }));
+}
+
+TEST(Sweep, FailedCellsAreRecordedAndCostOnlyThemselves) {
+  const Files s;
+  const auto plan = six_arms();
+  const SweepRunner runner = [](const ConfigNode& session, Host& host) -> SweepOutcome {
+    const auto instances = session.at("planning").at("instances").as_int();
+    if (instances == 4 && session.at("seed").as_int() == 6) throw Diverged("frame 12, vertex 3");
+    if (instances == 16 && session.at("seed").as_int() == 7) throw 5;
+    return formula(session, host);
+  };
+  const auto rows = run_sweep(plan, s.options("out", runner));
+  ASSERT_EQ(rows.size(), 18u);
+  int failed = 0;
+  for (const auto& row : rows) failed += !row.failure.empty();
+  EXPECT_EQ(failed, 4);
+  EXPECT_EQ(rows[7].failure, "frame 12, vertex 3");
+  // A failure is a result: it is not tried again.
+  std::atomic<int> calls{0};
+  run_sweep(plan, s.options("out", [&](const ConfigNode& session, Host& host) {
+    ++calls;
+    return formula(session, host);
+  }));
+  EXPECT_EQ(calls, 0);
+}
+
+TEST(Sweep, KilledAtAnyMomentItIsFinishedByTheNextRun) {
+  const Files s;
+  const auto plan = six_arms();
+  const std::string whole = text_of(run_sweep(plan, s.options("whole", formula)));
+  for (const int after_ms : {5, 40, 75}) {
+    const std::string name = "killed" + std::to_string(after_ms);
+    const pid_t child = fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      try {
+        run_sweep(plan, s.options(
+                            name,
+                            [](const ConfigNode& session, Host& host) {
+                              std::this_thread::sleep_for(std::chrono::milliseconds(10));
+                              return formula(session, host);
+                            },
+                            2));
+      } catch (...) {
+      }
+      _exit(0);
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(after_ms));
+    kill(child, SIGKILL);
+    int status = 0;
+    waitpid(child, &status, 0);
+    std::atomic<int> calls{0};
+    const auto rows = run_sweep(plan, s.options(name, [&](const ConfigNode& session, Host& host) {
+      ++calls;
+      return formula(session, host);
+    }));
+    EXPECT_EQ(text_of(rows), whole) << calls;
+    EXPECT_GT(calls, 0);
+  }
+}
+
+TEST(Sweep, HalfWrittenRowsDoNotCount) {
+  const Files s;
+  const auto plan = one_arm({1});
+  run_sweep(plan, s.options("out", formula));
+  std::filesystem::path row;
+  for (const auto& entry : std::filesystem::directory_iterator(s.folder / "out" / "cells")) row = entry.path();
+  std::filesystem::rename(row, row.string() + ".tmp");
+  int calls = 0;
+  run_sweep(plan, s.options("out", [&](const ConfigNode& session, Host& host) {
+    ++calls;
+    return formula(session, host);
+  }));
+  EXPECT_EQ(calls, 1);
+  std::ofstream(row) << "{\"schema\": ";
+  EXPECT_THAT(message_of<ConfigError>([&] { run_sweep(plan, s.options("out", formula)); }),
+              testing::AllOf(testing::HasSubstr(row.filename().string()), testing::HasSubstr("damaged")));
+}
+
+TEST(Sweep, AFolderHoldsOneSweep) {
+  const Files s;
+  run_sweep(one_arm({1}), s.options("out", formula));
+  auto other = one_arm({1});
+  other.arms[0].config = other.arms[0].config.with("planning.noise", ConfigNode::number(0.25));
+  EXPECT_THAT(message_of<ConfigError>([&] { run_sweep(other, s.options("out", formula)); }),
+              testing::HasSubstr("another config"));
+  // More seeds of the same are welcome.
+  EXPECT_EQ(run_sweep(one_arm({1, 2}), s.options("out", formula)).size(), 2u);
+}
+
+TEST(Sweep, CancelledSessionsLeaveNoRow) {
+  const Files s;
+  const auto plan = six_arms();
+  std::atomic<bool> cancel{false};
+  int calls = 0;
+  auto options = s.options("out", [&](const ConfigNode& session, Host& host) {
+    if (++calls == 4) cancel = true;
+    return formula(session, host);
+  });
+  options.cancel = &cancel;
+  EXPECT_EQ(run_sweep(plan, options).size(), 3u);
+  cancel = false;
+  EXPECT_EQ(run_sweep(plan, options).size(), 18u);
+}
+
+TEST(Sweep, MetricsThatAreNoNumbersSurvive) {
+  const Files s;
+  const auto plan = one_arm({1});
+  const SweepRunner runner = [](const ConfigNode&, Host&) {
+    return SweepOutcome{{{"a", std::nan("")}, {"b", 0.1}}, "x"};
+  };
+  run_sweep(plan, s.options("out", runner));
+  const auto rows = run_sweep(plan, s.options("out", runner));  // read back
+  EXPECT_TRUE(std::isnan(rows[0].outcome.metrics[0].second));
+  EXPECT_EQ(rows[0].outcome.metrics[1].second, 0.1);
+}
+
+TEST(Sweep, PayloadsReadBackAsTheyWereWritten) {
+  const Files s;
+  const auto plan = one_arm({1});
+  const std::string value = "{\"centre\":[0.1,0.30000000000000004],\"none\":null}";
+  const SweepRunner runner = [&](const ConfigNode&, Host&) {
+    return SweepOutcome{{{"a", 1.0}}, "x", {"toy 3", value}};
+  };
+  const auto made = run_sweep(plan, s.options("out", runner));
+  const auto read = run_sweep(plan, s.options("out", formula));  // nothing runs
+  EXPECT_EQ(text_of(read), text_of(made));
+  EXPECT_EQ(read[0].outcome.payload.schema, "toy 3");
+  EXPECT_EQ(read[0].outcome.payload.json, value);
+  EXPECT_EQ(read[0].file, s.only_row("out"));
+}
+
+TEST(Sweep, RowsOfBeforePayloadsAreRead) {
+  // As weft wrote it when rows were called those of an ablation; the name of the file holds a hash of the arm's name.
+  const Files s;
+  s.folder.write("out/cells/seed1-arm0-b4f2b3c9.json", R"({
+  "schema": "weft ablation row 1",
+  "arm": "rprop, 1",
+  "seed": 1,
+  "config": "25d7a2c5e213b6e4",
+  "status": "done",
+  "failure": "",
+  "paired_by": "d41d8cd98f00b204",
+  "metrics": {
+    "error_mm": 12.25,
+    "first_plan_loss": null
+  }
+}
+)");
+  int calls = 0;
+  const auto rows = run_sweep(one_arm({1}), s.options("out", [&](const ConfigNode& config, Host& host) {
+    ++calls;
+    return formula(config, host);
+  }));
+  EXPECT_EQ(calls, 0);
+  ASSERT_EQ(rows.size(), 1u);
+  EXPECT_EQ(rows[0].metric("error_mm"), 12.25);
+  EXPECT_TRUE(std::isnan(rows[0].metric("first_plan_loss")));
+  EXPECT_EQ(rows[0].outcome.paired_by, "d41d8cd98f00b204");
+  EXPECT_EQ(rows[0].outcome.payload.schema, "");
+}
+
+TEST(Sweep, RowsOfAnotherFormAreRefused) {
+  const Files s;
+  const auto plan = one_arm({1});
+  run_sweep(plan, s.options("out", formula));
+  std::ofstream(s.only_row("out")) << R"({"schema": "weft sweep row 3"})";
+  EXPECT_THAT(message_of<ConfigError>([&] { run_sweep(plan, s.options("out", formula)); }),
+              testing::HasSubstr("is no row of a sweep"));
+}
+
+TEST(SweepMetrics, ComeInTheOrderOfTheirFirstAppearance) {
+  EXPECT_EQ(sweep_metrics({{0, 1, "", {{{"b", 1.0}}, ""}}, {0, 2, "", {{{"a", 1.0}, {"b", 2.0}}, ""}}}),
+            (std::vector<std::string>{"b", "a"}));
+}
+
+}  // namespace
+}  // namespace weft::test
