@@ -21,10 +21,18 @@ endforeach()
 # One complete plugin of each kind, as the package test builds them: a project of its own.
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/tests/package/plugins/ DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples)
 
+# The build tree has the package config where the install tree has it, so plugins can be built against either.
 set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/weft)
-install(EXPORT weftTargets NAMESPACE weft:: DESTINATION ${package_folder})
-configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/weftConfig.cmake.in ${PROJECT_BINARY_DIR}/weftConfig.cmake
+set(package ${PROJECT_BINARY_DIR}/${package_folder})
+configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/weftConfig.cmake.in ${package}/weftConfig.cmake
   INSTALL_DESTINATION ${package_folder} PATH_VARS CMAKE_INSTALL_DATADIR CMAKE_INSTALL_LIBDIR)
-write_basic_package_version_file(${PROJECT_BINARY_DIR}/weftConfigVersion.cmake COMPATIBILITY SameMinorVersion)
-install(FILES ${PROJECT_BINARY_DIR}/weftConfig.cmake ${PROJECT_BINARY_DIR}/weftConfigVersion.cmake
-              ${CMAKE_CURRENT_LIST_DIR}/WeftAddPlugin.cmake DESTINATION ${package_folder})
+write_basic_package_version_file(${package}/weftConfigVersion.cmake COMPATIBILITY SameMinorVersion)
+configure_file(${CMAKE_CURRENT_LIST_DIR}/WeftAddPlugin.cmake ${package}/WeftAddPlugin.cmake COPYONLY)
+install(FILES ${package}/weftConfig.cmake ${package}/weftConfigVersion.cmake ${package}/WeftAddPlugin.cmake
+        DESTINATION ${package_folder})
+install(EXPORT weftTargets NAMESPACE weft:: DESTINATION ${package_folder})
+export(EXPORT weftTargets NAMESPACE weft:: FILE ${package}/weftTargets.cmake)
+if(EXISTS ${PROJECT_SOURCE_DIR}/configs)
+  file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/${CMAKE_INSTALL_DATADIR}/weft)
+  file(CREATE_LINK ${PROJECT_SOURCE_DIR}/configs ${PROJECT_BINARY_DIR}/${CMAKE_INSTALL_DATADIR}/weft/configs SYMBOLIC)
+endif()

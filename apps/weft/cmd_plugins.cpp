@@ -8,6 +8,7 @@
 #include "experiments/experiment_config.hpp"
 #include "experiments/physics/physics.hpp"
 #include "options.hpp"
+#include "simulation/scene.hpp"
 #include "weft/config.hpp"
 
 namespace weft::app {
@@ -54,6 +55,7 @@ constexpr FileKind kFileKinds[] = {
     {"experiment", "weft generate, weft train, weft calibrate, weft evaluate", describe_params<ExperimentParams>},
     {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
     {"ablation", "weft ablate", describe_params<AblationParams>},
+    {"scene", "weft simulate", describe_scene},
 };
 
 std::string file_kind_names() {

@@ -46,6 +46,7 @@ int main(int argc, char** argv) {
   register_conformance(app, context);
   register_plugins(app, context);
   register_describe(app, context);
+  register_new(app, context);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -9,8 +9,9 @@
 namespace weft {
 namespace {
 
-// Whole numbers in full: 100000, not 1e+05.
+// Whole numbers in full: 100000, not 1e+05. NaN is the default of a number that must be given: there is none to show.
 std::string number_text(double value) {
+  if (std::isnan(value)) return "";
   if (value == std::round(value) && std::abs(value) < 1e9) return std::to_string(static_cast<std::int64_t>(value));
   return ConfigNode::number(value).as_string();
 }

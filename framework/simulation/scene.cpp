@@ -16,21 +16,87 @@ constexpr double kTimeSlack = 1e-9;
 /// First frame boundary at or after a time.
 Index frame_at(double time) { return static_cast<Index>(std::ceil(time / kFrameSeconds - kTimeSlack / kFrameSeconds)); }
 
-double number_in(const ConfigNode& node, double low, double high) {
-  const double value = node.as_double();
-  if (!(value >= low && value <= high)) {
-    node.fail("= " + node.as_string() + ", must be in [" + ConfigNode::number(low).as_string() + ", " +
-              ConfigNode::number(high).as_string() + "]");
+// What a scene file may say. A number that is NaN and a node that is null have no default: they must be given.
+constexpr double kNotGiven = std::numeric_limits<double>::quiet_NaN();
+constexpr double kNever = std::numeric_limits<double>::infinity();
+
+struct KeyframeParams {
+  double time_s = kNotGiven;
+  std::vector<double> offset_m;
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("time_s", time_s, range(0, 1e6, "s"), "Ascending. At the first one the hand takes hold.");
+    v("offset_m", offset_m, range(-1e3, 1e3, "m"),
+      "Offset from where each vertex was when the hand took hold; linear between keyframes, constant after the last.",
+      Length{3, "x, y, z"});
   }
-  return value;
+};
+struct GraspParams {
+  std::vector<std::string> vertices;
+  ConfigNode keyframes;
+  double release_s = kNever;
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("vertices", vertices, "What this hand holds: indices or names, each once, at least one.");
+    v("keyframes", keyframes, "At least one.");
+    v("release_s", release_s, range(0, 1e6, "s"), "When the hand lets go; left out, it holds to the end.");
+  }
+};
+struct GroundParams {
+  double height_m = kNotGiven;
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("height_m", height_m, range(-1e3, 1e3, "m"),
+      "Height of the ground. Without `ground` it lies at 0; with `ground: none` there is none.");
+  }
+};
+struct SceneParams {
+  std::string description;
+  ConfigNode simulator = ConfigNode::parse("{plugin: cloth}", "default");
+  ConfigNode garment, fabric, ground, grasps;
+  std::vector<double> gravity_m_per_s2 = {0.0, 0.0, -9.81};
+  std::vector<double> initial_velocity_m_per_s = {0.0, 0.0, 0.0};
+  std::vector<std::string> pins;
+  double duration_s = kNotGiven;
+  std::int64_t output_every_frames = 12;
+  std::int64_t seed = 0;
+  std::vector<std::string> plugin_path;
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("description", description, "What the scene shows, for people.", Decides::nothing);
+    v("seed", seed, range(0, 9e18), "Seed of a simulator that draws random numbers.");
+    v("plugin_path", plugin_path, "Folders searched for plugins first.", Decides::nothing);
+    v("simulator", simulator, PluginSlot{"simulator"}, "Simulator plugin.");
+    v("garment", garment, "The cloth: mesh and named vertices. Must be given.", FileOrMapping{});
+    v("fabric", fabric, "One material, not a material space. Must be given.", FileOrMapping{});
+    v("gravity_m_per_s2", gravity_m_per_s2, range(-1e3, 1e3, "m/s^2"), "Turn it to tilt the ground.",
+      Length{3, "x, y, z"});
+    v("ground", ground, "The ground.");
+    v("pins", pins, "Vertices that never move: indices, or names of the garment.");
+    v("initial_velocity_m_per_s", initial_velocity_m_per_s, range(-1e3, 1e3, "m/s"),
+      "Of every vertex that is not pinned.", Length{3, "x, y, z"});
+    v("grasps", grasps, "Hands.");
+    v("duration_s", duration_s, range(kFrameSeconds / 2.0, 36000.0, "s"),
+      "Simulated time, rounded up to frames of 1/60 s. Must be given.");
+    v("output_every_frames", output_every_frames, range(1, kNever, "frames"),
+      "Every how many frames a mesh is written; the last frame always is.");
+  }
+};
+
+/// "{time_s, offset_m}"
+template <class Params>
+std::string keys_text() {
+  std::string text;
+  for (const ParamInfo& info : describe_params<Params>()) text += (text.empty() ? "{" : ", ") + info.name;
+  return text + "}";
 }
 
-Vec3 vector_in(const ConfigNode& node, double limit) {
-  if (!node.is_sequence() || node.size() != 3) node.fail("must be a list of 3 numbers");
-  Vec3 value;
-  for (std::size_t k = 0; k < 3; ++k) value[k] = number_in(node[k], -limit, limit);
-  return value;
+/// @throws ConfigError when a number that has no default is missing.
+void require_given(const ConfigNode& mapping, const char* key, double value) {
+  if (std::isnan(value)) must_be(mapping.at(key), "a number");
 }
+
+Vec3 vec3_of(const std::vector<double>& values) { return Vec3(values.at(0), values.at(1), values.at(2)); }
 
 /// A list of vertices without repetition, by index or by the garment's names.
 std::vector<Index> vertices_in(const ConfigNode& node, const Garment& garment) {
@@ -62,29 +128,31 @@ std::vector<Index> vertices_in(const ConfigNode& node, const Garment& garment) {
 }
 
 SceneGrasp grasp_in(const ConfigNode& node, const Garment& garment) {
-  if (!node.is_mapping()) node.fail("must be a mapping {vertices, keyframes, release_s}");
-  node.refuse_unknown_keys({"vertices", "keyframes", "release_s"});
+  if (!node.is_mapping()) node.fail("must be a mapping " + keys_text<GraspParams>());
+  GraspParams params;
+  read_params(node, params);
   SceneGrasp grasp;
   grasp.vertices = vertices_in(node.at("vertices"), garment);
   if (grasp.vertices.empty()) node.at("vertices").fail("is empty, must name at least one vertex");
   const ConfigNode keyframes = node.at("keyframes");
-  if (!keyframes.is_sequence() || keyframes.size() == 0) keyframes.fail("must be a list of {time_s, offset_m}");
+  if (!keyframes.is_sequence() || keyframes.size() == 0)
+    keyframes.fail("must be a list of " + keys_text<KeyframeParams>());
   for (std::size_t k = 0; k < keyframes.size(); ++k) {
     const ConfigNode item = keyframes[k];
-    if (!item.is_mapping()) item.fail("must be a mapping {time_s, offset_m}");
-    item.refuse_unknown_keys({"time_s", "offset_m"});
-    SceneGrasp::Keyframe keyframe;
-    keyframe.time = number_in(item.at("time_s"), 0.0, 1e6);
-    keyframe.offset = vector_in(item.at("offset_m"), 1e3);
-    if (k > 0 && keyframe.time <= grasp.keyframes.back().time) {
+    if (!item.is_mapping()) item.fail("must be a mapping " + keys_text<KeyframeParams>());
+    KeyframeParams keyframe;
+    read_params(item, keyframe);
+    require_given(item, "time_s", keyframe.time_s);
+    if (keyframe.offset_m.empty()) must_be(item.at("offset_m"), "a list of 3 numbers (x, y, z)");
+    if (k > 0 && keyframe.time_s <= grasp.keyframes.back().time) {
       item.at("time_s").fail("= " + item.at("time_s").as_string() + ", must be later than the keyframe before it");
     }
-    grasp.keyframes.push_back(keyframe);
+    grasp.keyframes.push_back({keyframe.time_s, vec3_of(keyframe.offset_m)});
   }
-  if (const auto release = node.find("release_s")) {
-    if (!release->is_null()) grasp.release = number_in(*release, 0.0, 1e6);
-    if (grasp.release && *grasp.release <= grasp.keyframes.front().time) {
-      release->fail("= " + release->as_string() + ", must be later than the first keyframe");
+  if (params.release_s != kNever) {
+    grasp.release = params.release_s;
+    if (*grasp.release <= grasp.keyframes.front().time) {
+      node.at("release_s").fail("= " + node.at("release_s").as_string() + ", must be later than the first keyframe");
     }
   }
   return grasp;
@@ -206,43 +274,61 @@ Vec3 SceneGrasp::offset_at(double time) const {
 
 Index SceneRun::frames() const { return frame_at(duration); }
 
-SceneRun read_scene(const ConfigNode& config) {
-  if (!config.is_mapping()) config.fail("must be a scene: a mapping");
-  config.refuse_unknown_keys({"simulator", "garment", "fabric", "gravity_m_per_s2", "ground", "pins",
-                              "initial_velocity_m_per_s", "grasps", "duration_s", "output_every_frames", "seed",
-                              "plugin_path", "description"});
-  SceneRun run;
-  run.simulator = config.find("simulator").value_or(ConfigNode::parse("{plugin: cloth}", "default"));
-  run.garment = std::make_shared<const Garment>(read_garment(config.at("garment")));
-  run.fabric = read_fabric(config.at("fabric"));
-  if (const auto gravity = config.find("gravity_m_per_s2")) run.scene.gravity = vector_in(*gravity, 1e3);
-  if (const auto ground = config.find("ground")) {
-    if (ground->is_scalar()) {
-      if (ground->as_string() != "none") ground->fail("= " + ground->as_string() + ", must be none or {height_m: ...}");
-      run.scene.ground_height = std::nullopt;
+std::vector<ParamInfo> describe_scene() {
+  std::vector<ParamInfo> scene;
+  const auto add = [&scene](const std::string& prefix, const std::vector<ParamInfo>& params) {
+    for (ParamInfo info : params) {
+      info.name = prefix + info.name;
+      scene.push_back(std::move(info));
+    }
+  };
+  for (const ParamInfo& info : describe_params<SceneParams>()) {
+    if (info.name == "ground") {
+      add("ground.", describe_params<GroundParams>());
+    } else if (info.name == "grasps") {
+      for (const ParamInfo& key : describe_params<GraspParams>()) {
+        if (key.name == "keyframes")
+          add("grasps.N.keyframes.N.", describe_params<KeyframeParams>());
+        else
+          add("grasps.N.", {key});
+      }
     } else {
-      ground->refuse_unknown_keys({"height_m"});
-      run.scene.ground_height = number_in(ground->at("height_m"), -1e3, 1e3);
+      scene.push_back(info);
     }
   }
-  if (const auto pins = config.find("pins")) run.scene.pins = vertices_in(*pins, *run.garment);
-  if (const auto velocity = config.find("initial_velocity_m_per_s")) {
-    run.scene.initial_velocity = vector_in(*velocity, 1e3);
+  return scene;
+}
+
+SceneRun read_scene(const ConfigNode& config) {
+  if (!config.is_mapping()) config.fail("must be a scene: a mapping");
+  SceneParams params;
+  read_params(config, params);
+  SceneRun run;
+  run.simulator = params.simulator;
+  run.garment =
+      std::make_shared<const Garment>(read_garment(params.garment.is_null() ? config.at("garment") : params.garment));
+  run.fabric = read_fabric(params.fabric.is_null() ? config.at("fabric") : params.fabric);
+  run.scene.gravity = vec3_of(params.gravity_m_per_s2);
+  if (const ConfigNode& ground = params.ground; ground.is_scalar()) {
+    if (ground.as_string() != "none") ground.fail("= " + ground.as_string() + ", must be none or {height_m: ...}");
+    run.scene.ground_height = std::nullopt;
+  } else if (!ground.is_null()) {
+    GroundParams given;
+    read_params(ground, given);
+    require_given(ground, "height_m", given.height_m);
+    run.scene.ground_height = given.height_m;
   }
-  if (const auto grasps = config.find("grasps")) {
-    if (!grasps->is_sequence() && !grasps->is_null()) grasps->fail("must be a list of grasps");
-    for (std::size_t g = 0; g < grasps->size(); ++g) run.grasps.push_back(grasp_in((*grasps)[g], *run.garment));
-    check_holds(*grasps, run);
+  if (!params.pins.empty()) run.scene.pins = vertices_in(config.at("pins"), *run.garment);
+  run.scene.initial_velocity = vec3_of(params.initial_velocity_m_per_s);
+  if (const ConfigNode& grasps = params.grasps; !grasps.is_null()) {
+    if (!grasps.is_sequence()) grasps.fail("must be a list of grasps");
+    for (std::size_t g = 0; g < grasps.size(); ++g) run.grasps.push_back(grasp_in(grasps[g], *run.garment));
+    check_holds(grasps, run);
   }
-  run.duration = number_in(config.at("duration_s"), kFrameSeconds / 2.0, 36000.0);
-  if (const auto every = config.find("output_every_frames")) {
-    run.output_every_frames = every->as_int();
-    if (run.output_every_frames < 1) every->fail("= " + every->as_string() + ", must be at least 1");
-  }
-  if (const auto seed = config.find("seed")) {
-    if (seed->as_int() < 0) seed->fail("= " + seed->as_string() + ", must be at least 0");
-    run.seed = static_cast<std::uint64_t>(seed->as_int());
-  }
+  require_given(config, "duration_s", params.duration_s);
+  run.duration = params.duration_s;
+  run.output_every_frames = params.output_every_frames;
+  run.seed = static_cast<std::uint64_t>(params.seed);
   return run;
 }
 

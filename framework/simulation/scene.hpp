@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "weft/host.hpp"
+#include "weft/params.hpp"
 #include "weft/simulator.hpp"
 
 namespace weft {
@@ -24,7 +25,7 @@ struct SceneGrasp {
   Vec3 offset_at(double time) const;
 };
 
-/// A scene file (docs/file-formats.md): one simulator, one mesh, a world and scripted hands.
+/// A scene file (docs/scenes.md): one simulator, one mesh, a world and scripted hands.
 struct SceneRun {
   ConfigNode simulator;  ///< {plugin, params}
   std::shared_ptr<const Garment> garment;
@@ -39,6 +40,8 @@ struct SceneRun {
   Index frames() const;
 };
 
+/// The keys of a scene file, as `weft describe scene` shows them. N stands for the place in a list: 0, 1, ...
+std::vector<ParamInfo> describe_scene();
 /// Reads and checks a whole scene; loads no plugin. @throws ConfigError with file, line and key.
 SceneRun read_scene(const ConfigNode& config);
 /// The scene as a mapping. read_scene reads the same run from it. Its garment is `garment_file`.

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <regex>
 
 #include "experiments/ablation.hpp"
 #include "loader/registry.hpp"
@@ -384,6 +385,10 @@ TEST(Program, DescribeShowsParametersWithUnitsRangesAndDefaults) {
   EXPECT_TRUE(found);
   EXPECT_THAT(weft_command("describe arc --markdown").output, StartsWith("| parameter | type |"));
   EXPECT_THAT(weft_command("describe ablation").output, HasSubstr("resamples"));
+  EXPECT_THAT(
+      weft_command("describe scene").output,
+      AllOf(StartsWith("scene file, for weft simulate\n"), HasSubstr("  duration_s  "), HasSubstr("default (none)"),
+            HasSubstr("  grasps.N.keyframes.N.offset_m list of 3 numbers (x, y, z) m, in [-1000, 1000]")));
   const auto experiment = nlohmann::json::parse(weft_command("describe experiment --json 2>/dev/null").output);
   std::map<std::string, nlohmann::json> keys;
   for (const auto& key : experiment.at("params")) keys[key.at("name")] = key;
@@ -402,6 +407,57 @@ TEST(Program, DescribeShowsParametersWithUnitsRangesAndDefaults) {
   EXPECT_THAT(unknown.output,
               AllOf(StartsWith("error: no plugin is called 'ark'; nearest: arc"), HasSubstr("searched")));
   EXPECT_EQ(weft_command("describe no/such/library.so").code, 2);
+}
+
+TEST(Program, NewWritesAPluginOfEachKind) {
+  const Folder folder;
+  for (const auto& [kind, class_name] : std::map<std::string, std::string>{{"simulator", "SoftTouchSimulator"},
+                                                                           {"predictor", "SoftTouchPredictor"},
+                                                                           {"trajectory", "SoftTouchTrajectory"},
+                                                                           {"optimiser", "SoftTouchOptimiser"}}) {
+    const auto out = folder / kind;
+    std::filesystem::create_directories(out);  // an empty folder is taken
+    const Outcome outcome = weft_command("new " + kind + " soft_touch --out '" + out.string() + "'");
+    ASSERT_EQ(outcome.code, 0) << outcome.output;
+    EXPECT_THAT(outcome.output, AllOf(HasSubstr("\n  cmake -S " + out.string() + " -B "), HasSubstr("\n  ctest ")));
+    for (const char* file : {"CMakeLists.txt", "README.md", "check.hpp", "soft_touch.cpp", "test_soft_touch.cpp"})
+      EXPECT_FALSE(std::regex_search(text_of(out / file), std::regex("@[A-Z]+@"))) << file;
+    EXPECT_THAT(text_of(out / "soft_touch.cpp"), HasSubstr(", " + class_name + ", Params, \"soft_touch\", \"1.0.0\")"));
+    // The law of the README is one of this kind; `weft conformance` would refuse another.
+    const std::string readme = text_of(out / "README.md");
+    const auto law = readme.find("--law ") + 6;
+    EXPECT_THAT(weft_command("conformance --list --kind " + kind).output,
+                HasSubstr(readme.substr(law, readme.find(' ', law) - law) + " "));
+  }
+}
+
+TEST(Program, NewRefusesWhatItCannotWrite) {
+  const Folder folder;
+  folder.write("full/notes.txt", "mine");
+  folder.write("file", "mine");
+  const auto refused = [&](const std::string& arguments, const std::string& expected) {
+    const Outcome outcome = weft_command("new " + arguments);
+    EXPECT_EQ(outcome.code, 2) << outcome.output;
+    EXPECT_THAT(outcome.output, AllOf(StartsWith("error: "), HasSubstr(expected)));
+  };
+  const std::string out = " --out '" + (folder / "new").string() + "'";
+  refused("trajektory swing" + out,
+          "'trajektory' is no kind of plugin, must be one of simulator, predictor, trajectory, ");
+  refused("trajektory swing" + out, "; nearest: trajectory\n");
+  for (const std::string name : {"Swing", "3d", "_swing", "my-swing", "'my swing'", "../swing"})
+    refused("trajectory " + name + out,
+            "cannot be the name of a plugin, must be a lower-case letter and then at most 62 ");
+  refused("trajectory " + std::string(64, 'a') + out, "cannot be the name of a plugin");
+  refused("trajectory arc" + out, "there is already a trajectory plugin called arc: ");
+  refused("trajectory swing --out '" + (folder / "full").string() + "'", "full: exists and is no empty folder");
+  refused("trajectory swing --out '" + (folder / "file").string() + "'", "file: exists and is no empty folder");
+  refused("trajectory swing --out '" + (folder / "file/new").string() + "'", "file/new: ");
+  EXPECT_FALSE(std::filesystem::exists(folder / "new"));
+  EXPECT_EQ(text_of(folder / "full/notes.txt"), "mine");
+  // A name of another kind is free, and --force takes one that is not.
+  EXPECT_EQ(weft_command("new optimiser arc" + out).code, 0);
+  EXPECT_EQ(weft_command("new trajectory arc --force --out '" + (folder / "forced").string() + "'").code, 0);
+  EXPECT_EQ(weft_command("new trajectory").code, 2);
 }
 
 TEST(Program, ConformanceReportsOneLinePerLaw) {

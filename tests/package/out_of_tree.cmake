@@ -51,8 +51,8 @@ endforeach()
 set(PLUGINS ${documents}/examples)
 
 # As the documents write it: nobody says a build type.
-set(configure ${CMAKE_COMMAND} -S ${PLUGINS} -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${CXX} -DCMAKE_EXPORT_COMPILE_COMMANDS=ON
-    -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DCMAKE_CXX_FLAGS=${FLAGS} -DCMAKE_PREFIX_PATH=${WORK}/prefix)
+set(compiler -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${CXX} -DCMAKE_CXX_COMPILER_LAUNCHER=${LAUNCHER} -DCMAKE_CXX_FLAGS=${FLAGS})
+set(configure ${CMAKE_COMMAND} -S ${PLUGINS} ${compiler} -DCMAKE_EXPORT_COMPILE_COMMANDS=ON -DCMAKE_PREFIX_PATH=${WORK}/prefix)
 run(${configure} -B ${WORK}/build)
 file(READ ${WORK}/build/compile_commands.json commands)
 if(NOT output MATCHES "no CMAKE_BUILD_TYPE was given, so it is Release" OR NOT commands MATCHES " -O3 ")
@@ -113,6 +113,58 @@ if(NOT code EQUAL 2 OR NOT output MATCHES "mass_spring: fabric.stretch_n_per_m =
 endif()
 # ... and it runs on the material that has both equal.
 run(${weft} run ${task} --set material=${configs}/fabrics/basic_isotropic.yaml)
+
+# What `weft new` writes, of each kind: configured without a build type, built, its unit test and all laws pass untouched.
+set(new_folders "")
+foreach(kind simulator predictor trajectory optimiser)
+  set(name my_${kind})
+  set(new ${WORK}/new/${name})
+  run(${weft} new ${kind} ${name} --out ${new})
+  if(NOT output MATCHES "\n  cmake -S .*-DCMAKE_PREFIX_PATH=.*\n  cmake --build .*\n  ctest --test-dir ")
+    message(FATAL_ERROR "weft new does not say what to type next:\n${output}")
+  endif()
+  run(${CMAKE_COMMAND} -S ${new} -B ${new}/build ${compiler} -DCMAKE_PREFIX_PATH=${WORK}/prefix)
+  if(NOT output MATCHES "no CMAKE_BUILD_TYPE was given, so it is Release")
+    message(FATAL_ERROR "${name} is not optimised by default:\n${output}")
+  endif()
+  run(${CMAKE_COMMAND} --build ${new}/build)
+  run(${CMAKE_CTEST_COMMAND} --test-dir ${new}/build --output-on-failure --no-tests=error)
+  foreach(test conformance.${kind}.${name} unit.${name})
+    if(NOT output MATCHES "${test} \\.+ +Passed")
+      message(FATAL_ERROR "${test} did not run:\n${output}")
+    endif()
+  endforeach()
+  # The inner loop that its README shows.
+  file(GLOB_RECURSE library ${new}/build/*weft_${kind}_${name}.so)
+  file(READ ${new}/README.md readme)
+  if(readme MATCHES "@[A-Z]+@" OR NOT readme MATCHES "--law ([a-z_]+) --set (params\\.[a-z_]+=[0-9.]+)\n")
+    message(FATAL_ERROR "the README of ${name} shows no inner loop, or has places that were not filled in")
+  endif()
+  run(${weft} conformance ${library} --law ${CMAKE_MATCH_1} --set ${CMAKE_MATCH_2})
+  get_filename_component(folder ${library} DIRECTORY)
+  list(APPEND new_folders ${folder})
+endforeach()
+# Against the build tree, which has its own `weft new`.
+set(new ${WORK}/new/of_the_build_tree)
+run(${BUILD}/bin/weft new trajectory of_the_build_tree --out ${new})
+run(${CMAKE_COMMAND} -S ${new} -B ${new}/build ${compiler} -DCMAKE_PREFIX_PATH=${BUILD})
+file(STRINGS ${new}/build/CMakeCache.txt found REGEX "^weft_DIR:")
+if(NOT found MATCHES "=${BUILD}/")
+  message(FATAL_ERROR "find_package(weft) did not find the build tree: ${found}")
+endif()
+run(${CMAKE_COMMAND} --build ${new}/build --target weft_trajectory_of_the_build_tree)
+# A session with the new ones.
+list(JOIN new_folders ":" folders)
+set(ENV{WEFT_PLUGIN_PATH} ${folders})
+run(${weft} run ${PLUGINS}/fold.yaml --set ${garment} --set simulator=my_simulator --set trajectory=my_trajectory
+    --set predictor=my_predictor --set planning.instances=1 --set planning.iterations=3 --set planning.replan_iterations=1
+    --out ${WORK}/new_session)
+file(READ ${WORK}/new_session/provenance.json provenance)
+foreach(kind simulator predictor trajectory)
+  if(NOT provenance MATCHES "\"my_${kind}\"")
+    message(FATAL_ERROR "the session did not use my_${kind}:\n${provenance}")
+  endif()
+endforeach()
 
 # And installed beside weft's own, without the variable.
 unset(ENV{WEFT_PLUGIN_PATH})

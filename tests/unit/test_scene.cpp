@@ -156,6 +156,22 @@ TEST_F(SceneFile, RefusesWithPlaceAndReason) {
   EXPECT_THAT(message_of<ConfigError>([&] { read("garment: square.obj\nfabric: {}\n"); }), HasSubstr("duration_s"));
   EXPECT_THAT(message_of<ConfigError>([&] { read("garment: square.obj\nfabric: {}\nduration_s: 0\n"); }),
               HasSubstr("duration_s"));
+  EXPECT_THAT(message_of<ConfigError>([&] { read("garment: square.obj\nfabric: {}\nduration_s:\n"); }),
+              HasSubstr("duration_s = "));
+  EXPECT_THAT(message_of<ConfigError>([&] { read("fabric: {}\nduration_s: 1\n"); }), HasSubstr("garment"));
+  EXPECT_THAT(refusal("ground: {}\n"), HasSubstr("height_m"));
+  EXPECT_THAT(refusal("grasps: [{vertices: [1], keyframes: [{offset_m: [0,0,0]}]}]\n"), HasSubstr("time_s"));
+  EXPECT_THAT(refusal("grasps: [{vertices: [1], keyframes: [{time_s: 1}]}]\n"), HasSubstr("offset_m"));
+  EXPECT_THAT(refusal("grasps: [{vertices: [1], keyframes: [{time: 1}]}]\n"), HasSubstr("nearest: time_s"));
+}
+
+TEST_F(SceneFile, SavesEveryKeyThatItDeclares) {
+  std::vector<std::string> declared;
+  for (const ParamInfo& info : describe_scene()) {
+    const std::string key = info.name.substr(0, info.name.find('.'));
+    if (info.decides != Decides::nothing && (declared.empty() || declared.back() != key)) declared.push_back(key);
+  }
+  EXPECT_THAT(write_scene(read(kScene), "square.obj").keys(), ::testing::UnorderedElementsAreArray(declared));
 }
 
 TEST_F(SceneFile, GraspsFollowTheirKeyframes) {

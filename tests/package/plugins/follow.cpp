@@ -1,7 +1,6 @@
 #include "weft/plugin.hpp"
 #include "weft/predictor.hpp"
 
-namespace follow {
 using namespace weft;
 
 struct Params {
@@ -56,5 +55,4 @@ class Follow final : public Predictor {
   Matrix squares_;  // [V, hands] m^2: distances in the rest shape
 };
 
-}  // namespace follow
-WEFT_PLUGIN(weft::Predictor, follow::Follow, follow::Params, "follow", "1.0.0")
+WEFT_PLUGIN(weft::Predictor, Follow, Params, "follow", "1.0.0")

@@ -5,19 +5,17 @@
 #include "weft/plugin.hpp"
 #include "weft/simulator.hpp"
 
-namespace mass_spring {
+using namespace weft;
 
 struct Params {
   double damping = 0.05;
   double safety = 0.3;
   template <class Visitor>
   void visit(Visitor& v) {
-    v("damping", damping, weft::range(0.0, 0.5), "Of every spring, relative to critical.");
-    v("safety", safety, weft::range(0.01, 0.6), "Step, relative to where an undamped step becomes unstable.");
+    v("damping", damping, range(0.0, 0.5), "Of every spring, relative to critical.");
+    v("safety", safety, range(0.01, 0.6), "Step, relative to where an undamped step becomes unstable.");
   }
 };
-
-using namespace weft;
 
 /// Point masses and springs along the edges, semi-implicit Euler, ground contact with Coulomb friction; no self-contact
 /// and one stiffness for all directions. Small and fast, not faithful.
@@ -110,6 +108,4 @@ class MassSpring final : public SimulatorBase {
   Index substeps_ = 0;
 };
 
-}  // namespace mass_spring
-
-WEFT_PLUGIN(weft::Simulator, mass_spring::MassSpring, mass_spring::Params, "mass_spring", "1.0.0")
+WEFT_PLUGIN(weft::Simulator, MassSpring, Params, "mass_spring", "1.0.0")

@@ -3,12 +3,12 @@
 using namespace weft;
 
 struct Params {
-  double momentum = 0.9;
-  void visit(auto& v) { v("momentum", momentum, range(0.0, 0.999), "Part of a step that the next one repeats."); }
+  double repeat = 0.9;
+  void visit(auto& v) { v("repeat", repeat, range(0.0, 0.999), "Part of a step that the next one repeats."); }
 };
 
-/// Gradient descent with momentum [Polyak 1964]. The rate grows by 5 % after a step that went down; another step is taken
-/// back, and the next one has half the rate and no momentum. Gradient and step are in units of the scales.
+/// Gradient descent that repeats a part of the last step [Polyak 1964]. The rate grows by 5 % after a step that went
+/// down; another step is taken back, and the next one has half the rate and repeats nothing. In units of the scales.
 struct Momentum final : Optimiser {
   explicit Momentum(const Params& params) : p(params) {}
   OptimiserCapabilities capabilities() const override { return {.needs_gradients = true}; }
@@ -23,7 +23,7 @@ struct Momentum final : Optimiser {
         if (k == 0 && !down) return {OptimiserStatus::diverged, "no finite value at the start"};
         if (down) gradient = here->gradient.cwiseProduct(scale);
         rate = k == 0 ? 0.1 / (gradient.norm() + 1e-300) : (down ? 1.05 : 0.5) * rate;
-        const Vector step = (down ? p.momentum : 0.0) * (x - best).cwiseQuotient(scale) - rate * gradient;
+        const Vector step = (down ? p.repeat : 0.0) * (x - best).cwiseQuotient(scale) - rate * gradient;
         if (k >= options.max_iterations) return {OptimiserStatus::budget_spent, "max_iterations"};
         best = search.best_x();
         x = box.clamp(best + step.cwiseProduct(scale));
