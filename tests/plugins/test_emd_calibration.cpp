@@ -466,7 +466,7 @@ TEST(EmdRecalibration, WhatCannotBeCalibratedIsRefused) {
     void save(const std::filesystem::path&) const override {}
     void load(const std::filesystem::path&) override {}
   } plain;
-  EXPECT_THAT(message_of<ConfigError>([&] { plain.calibrate(fresh, {0}, task, {}); }), HasSubstr("cannot calibrate"));
+  EXPECT_THAT(message_of<ConfigError>([&] { plain.calibrate(fresh, {0}, task, {}); }), HasSubstr("cannot recalibrate"));
 }
 
 #endif  // WEFT_HAS_TORCH

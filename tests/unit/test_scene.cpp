@@ -152,7 +152,7 @@ TEST_F(SceneFile, RefusesWithPlaceAndReason) {
   EXPECT_THAT(refusal("pins: [1]\ngrasps: [{vertices: [1], " + keys + "}]\n"),
               HasSubstr("holds vertex 1, which is pinned"));
   EXPECT_THAT(refusal("grasps: [{vertices: [1], " + keys + "}, {vertices: [2, 1], " + keys + "}]\n"),
-              HasSubstr("holds vertex 1 while grasp 0 does"));
+              HasSubstr("holds vertex 1, which grasp 0 holds at the same time"));
   EXPECT_THAT(message_of<ConfigError>([&] { read("garment: square.obj\nfabric: {}\n"); }), HasSubstr("duration_s"));
   EXPECT_THAT(message_of<ConfigError>([&] { read("garment: square.obj\nfabric: {}\nduration_s: 0\n"); }),
               HasSubstr("duration_s"));
