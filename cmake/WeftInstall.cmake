@@ -22,6 +22,8 @@ endforeach()
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/tests/package/plugins/ DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples)
 
 # The build tree has the package config where the install tree has it, so plugins can be built against either.
+# A build folder of an earlier version has the package config in its root, where find_package() would find it first.
+file(REMOVE ${PROJECT_BINARY_DIR}/weftConfig.cmake ${PROJECT_BINARY_DIR}/weftConfigVersion.cmake)
 set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/weft)
 set(package ${PROJECT_BINARY_DIR}/${package_folder})
 configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/weftConfig.cmake.in ${package}/weftConfig.cmake
