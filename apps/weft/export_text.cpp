@@ -17,9 +17,9 @@ class TextFile {
  public:
   explicit TextFile(fs::path file) : whole_(std::move(file)), stream_(whole_.temporary()) {}
   template <class... Values>
-  void print(const char* format, Values... values) {
+  void print(const char* format, auto value, Values... values) {
     char text[256];
-    const int size = std::snprintf(text, sizeof(text), format, values...);
+    const int size = std::snprintf(text, sizeof(text), format, value, values...);
     stream_.write(text, std::min<int>(size, sizeof(text) - 1));
   }
   void text(const std::string& text) { stream_ << text; }
@@ -75,13 +75,13 @@ Timeline every_nth(const SessionRecord& session, std::size_t n) {
 void export_usd(const fs::path& file, const SessionRecord& session, const Timeline& timeline) {
   TextFile out(file);
   const double end = timeline.seconds.back() / kFrameSeconds;
-  out.print("#usda 1.0\n(\n    defaultPrim = \"weft\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n");
+  out.text("#usda 1.0\n(\n    defaultPrim = \"weft\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n");
   out.print("    timeCodesPerSecond = 60\n    framesPerSecond = 60\n    startTimeCode = 0\n    endTimeCode = %g\n)\n\n",
             end);
-  out.print("def Xform \"weft\"\n{\n");
+  out.text("def Xform \"weft\"\n{\n");
   const auto print_mesh = [&](const std::string& name, const Eigen::Vector3d& colour, double opacity) {
     out.print("    def Mesh \"%s\"\n    {\n", identifier(name).substr(0, 100).c_str());
-    out.print("        uniform token subdivisionScheme = \"none\"\n        uniform bool doubleSided = 1\n");
+    out.text("        uniform token subdivisionScheme = \"none\"\n        uniform bool doubleSided = 1\n");
     out.print("        color3f[] primvars:displayColor = [(%g, %g, %g)]\n", colour.x(), colour.y(), colour.z());
     out.print("        float[] primvars:displayOpacity = [%g]\n", opacity);
     out.text("        int[] faceVertexCounts = [");

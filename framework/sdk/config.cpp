@@ -532,8 +532,8 @@ ConfigNode ConfigNode::merged(const ConfigNode& over) const {
   const auto plugin = over.find("plugin");
   if (plugin && has("plugin") && at("plugin").data_->text != plugin->data_->text) return repath(over, path());
   for (const auto& [key, value] : over.data_->entries) {
-    const auto old =
-        std::find_if(copy.entries.begin(), copy.entries.end(), [&](const auto& e) { return e.first == key; });
+    const auto old = std::find_if(copy.entries.begin(), copy.entries.end(),
+                                  [&name = key](const auto& e) { return e.first == name; });
     if (old == copy.entries.end()) {
       copy.entries.emplace_back(key, repath(value, join(path(), key)));
     } else {

@@ -99,13 +99,13 @@ struct Model {
 
     double operator()(double sigma) const { return factor * std::sqrt(sigma * sigma + added * added); }
     /// d sigma' / d sigma, from sigma'.
-    double by_sigma(double calibrated) const {
-      const double r = calibrated / factor;
+    double by_sigma(double widened) const {
+      const double r = widened / factor;
       return factor * std::sqrt(std::max(0.0, r * r - added * added)) / r;
     }
     /// d sigma' / d (mean width), from sigma'.
-    double by_width(double calibrated) const {
-      return factor_slope * calibrated + factor * factor * added * added_slope / calibrated;
+    double by_width(double widened) const {
+      return factor_slope * widened + factor * factor * added * added_slope / widened;
     }
   };
   /// Calibration after `steps` segments. Between exact knowledge and none, log(factor) and `added` are linear in the
