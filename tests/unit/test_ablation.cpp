@@ -94,7 +94,8 @@ TEST(AblationPlan, RefusesWithFileLineAndTheNearestName) {
   EXPECT_THAT(s.refusal(seeds + "factors: {planning.instances: [4, 4]}\n"), HasSubstr("twice"));
   EXPECT_THAT(s.refusal(seeds + "factors: {planning.instance: [1]}\n"), HasSubstr("nearest: instances"));
   EXPECT_THAT(s.refusal(seeds + "factors: {planning.instances: [-1]}\n"), HasSubstr("must be in [1, 4096]"));
-  EXPECT_THAT(s.refusal(seeds + factors + "baseline: 5\n"), AllOf(HasSubstr("ablation.yaml:4"), HasSubstr("is not a level of")));
+  EXPECT_THAT(s.refusal(seeds + factors + "baseline: 5\n"),
+              AllOf(HasSubstr("ablation.yaml:4"), HasSubstr("is not a level of")));
   EXPECT_THAT(s.refusal(seeds + factors + "baseline: {planing.instances: 4}\n"),
               HasSubstr("nearest: planning.instances"));
   EXPECT_THAT(s.refusal(factors + "seeds: {first: 1}\n"), HasSubstr("count"));
