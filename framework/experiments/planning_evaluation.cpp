@@ -125,7 +125,7 @@ void write_planning_shapes(const EvaluationColumn& column, const Garment& garmen
           std::find(column.plan.seeds.begin(), column.plan.seeds.end(), row.seed) - column.plan.seeds.begin());
       goal_of.push_back(static_cast<std::int64_t>(goal));
       if (!row.failure.empty()) {
-        finals.push_back(garment.positions);  // keeps shapes and rows aligned; the page shows no shape for a row without an error
+        finals.push_back(garment.positions);  // keeps the order of the rows; the page does not show it
         continue;
       }
       const auto file = Hdf5File::open(shape_file(folder, row.seed, width_level(width)));
