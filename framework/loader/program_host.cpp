@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "loader/program_host.hpp"
+#include "processes/crash_report.hpp"
 
 namespace weft {
 
@@ -80,6 +81,7 @@ class ThreadPool {
   }
 
   void work() {
+    const CrashStack crash_stack;
     std::uint64_t seen = 0;
     for (;;) {
       Loop* loop = nullptr;

@@ -12,6 +12,7 @@
 #include <set>
 #include <sstream>
 
+#include "processes/crash_report.hpp"
 #include "sdk/files.hpp"
 #include "weft/config.hpp"
 #include "weft/optimiser.hpp"
@@ -111,6 +112,7 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
            "; rebuild it with this weft's headers (MIGRATION.md says what changed)");
   }
   if (library->entry.name.empty()) refuse("has no name");
+  announce_plugin(library->entry.kind + " " + library->entry.name, &info);
   return library;
 }
 
