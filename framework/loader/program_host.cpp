@@ -9,6 +9,7 @@
 #include "loader/checked.hpp"
 #include "loader/program_host.hpp"
 #include "loader/where.hpp"
+#include "processes/crash_report.hpp"
 
 namespace weft {
 
@@ -84,6 +85,7 @@ class ThreadPool {
   }
 
   void work() {
+    const CrashStack crash_stack;
     std::uint64_t seen = 0;
     for (;;) {
       Loop* loop = nullptr;

@@ -13,6 +13,7 @@
 #include <sstream>
 
 #include "loader/where.hpp"
+#include "processes/crash_report.hpp"
 #include "sdk/files.hpp"
 #include "weft/config.hpp"
 #include "weft/optimiser.hpp"
@@ -168,6 +169,7 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
     refuse("is named after " + kind + "/" + name + ", but WEFT_PLUGIN(...) in it says " + entry.kind + "/" +
            entry.name + "; give weft_add_plugin() and WEFT_PLUGIN the same kind and name");
   }
+  announce_plugin(entry.kind + " " + entry.name, &info);
   return library;
 }
 
