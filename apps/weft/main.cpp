@@ -63,7 +63,10 @@ int main(int argc, char** argv) {
   install_crash_report(STDERR_FILENO, write_where);
   try {
     const CrashWatch watch;
-    return context.action();
+    if (context.json) Context::keep_output();
+    const int code = context.action();
+    Context::output().flush();
+    return code;
   } catch (const ConfigError& error) {
     std::fprintf(stderr, "error: %s\n", error.what());
     return 2;

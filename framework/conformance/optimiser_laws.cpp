@@ -479,6 +479,13 @@ Outcome refuses_nan(const Bench& bench) {
 
 }  // namespace
 
+void probe_optimiser(const Bench& bench) {
+  const auto o = bench.make<Optimiser>();
+  Search s(*o, 3, small_bowl(), spread(3, 2));
+  s.options.max_iterations = 2;
+  s.run();
+}
+
 const std::vector<Law>& optimiser_laws() {
   static const std::vector<Law> laws = {
       {"solves_an_ill_conditioned_quadratic",

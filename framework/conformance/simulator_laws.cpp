@@ -669,6 +669,13 @@ Outcome non_finite_state_never_leaves(const Bench& bench) {
 
 }  // namespace
 
+void probe_simulator(const Bench& bench) {
+  const auto sim = bench.make<Simulator>();
+  sim->reset(sheet(), plain_fabric(), Scene());
+  sim->step(kNothing);
+  sim->diagnostics();
+}
+
 const std::vector<Law>& simulator_laws() {
   static const std::vector<Law> laws = {
       {"falls_freely", "In free space a sheet follows x0 + v0 t + g t^2 / 2 (error over the distance fallen, 0.5 s).",

@@ -343,6 +343,12 @@ Outcome refuses_bad_shapes(const Bench& bench) {
 
 }  // namespace
 
+void probe_trajectory(const Bench& bench) {
+  const auto t = bench.make<Trajectory>();
+  const Manipulation m = skew(*t, 0);
+  t->targets(m, t->advance(m, t->initial_state(m), t->default_controls(1).row(0).transpose()));
+}
+
 const std::vector<Law>& trajectory_laws() {
   static const std::vector<Law> laws = {
       {"variables_are_well_formed", "Names are unique, bounds finite around the defaults, scales > 0 (violations).", 0,

@@ -9,20 +9,22 @@ namespace weft {
 namespace {
 
 template <class Interface>
-std::shared_ptr<void> checked_as(const std::string& name, std::shared_ptr<void> plugin) {
+std::shared_ptr<void> checked_as(const std::string& name, std::shared_ptr<void> plugin, PluginChecks checks) {
   auto* const object = static_cast<Interface*>(plugin.get());
-  std::shared_ptr<Interface> guarded = checked(name, std::shared_ptr<Interface>(std::move(plugin), object));
+  std::shared_ptr<Interface> guarded = checked(name, std::shared_ptr<Interface>(std::move(plugin), object), checks);
   auto* const interface = guarded.get();
   return {std::move(guarded), interface};
 }
 
 }  // namespace
 
-std::shared_ptr<void> checked(const std::string& kind, const std::string& name, std::shared_ptr<void> plugin) {
-  if (kind == Simulator::kKind) return checked_as<Simulator>(name, std::move(plugin));
-  if (kind == Predictor::kKind) return checked_as<Predictor>(name, std::move(plugin));
-  if (kind == Trajectory::kKind) return checked_as<Trajectory>(name, std::move(plugin));
-  return checked_as<Optimiser>(name, std::move(plugin));
+std::shared_ptr<void> checked(const std::string& kind, const std::string& name, std::shared_ptr<void> plugin,
+                              PluginChecks checks) {
+  if (checks == PluginChecks::none) return plugin;
+  if (kind == Simulator::kKind) return checked_as<Simulator>(name, std::move(plugin), checks);
+  if (kind == Predictor::kKind) return checked_as<Predictor>(name, std::move(plugin), checks);
+  if (kind == Trajectory::kKind) return checked_as<Trajectory>(name, std::move(plugin), checks);
+  return checked_as<Optimiser>(name, std::move(plugin), checks);
 }
 
 }  // namespace weft

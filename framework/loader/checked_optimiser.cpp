@@ -30,7 +30,9 @@ class CheckedObjective final : public Objective {
   }
 
  private:
+  /// A law has an objective of its own that looks at what it is asked for.
   void check(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& request) const {
+    if (!guard_.callers_too()) return;
     guard_.want_size("a point x that it evaluates", x.rows(), dim_);
     guard_.want_size("the list of instances of the points that it evaluates", std::ssize(instances), x.cols());
     if ((request.gradients && !capabilities_.gradients) ||
@@ -59,8 +61,8 @@ class CheckedObjective final : public Objective {
 
 class CheckedOptimiser final : public Optimiser {
  public:
-  CheckedOptimiser(const std::string& name, std::shared_ptr<Optimiser> plugin)
-      : guard_(kKind, name), plugin_(std::move(plugin)) {}
+  CheckedOptimiser(const std::string& name, std::shared_ptr<Optimiser> plugin, PluginChecks checks)
+      : guard_(kKind, name, checks == PluginChecks::all), plugin_(std::move(plugin)) {}
 
   OptimiserCapabilities capabilities() const override {
     return guard_.call("capabilities()", [&] { return plugin_->capabilities(); });
@@ -78,20 +80,21 @@ class CheckedOptimiser final : public Optimiser {
       };
       auto results = plugin_->minimise(watched, starts, bounds, scale, options, observer ? watching : nullptr);
       guard_.want_size("the list of results from minimise()", std::ssize(results), starts.cols());
-      for (const auto& result : results) check(result, bounds);
+      for (const auto& result : results) check(result, watched.dim(), bounds);
       return results;
     });
   }
 
  private:
-  void check(const OptimiserResult& result, const Box& bounds) const {
-    guard_.want_size("x of a result from minimise()", result.x.size(), bounds.dim());
+  void check(const OptimiserResult& result, Index dim, const Box& bounds) const {
+    guard_.want_size("x of a result from minimise()", result.x.size(), dim);
     guard_.want_finite("x of a result from minimise()", result.x);
-    if ((result.x.array() < bounds.lower.array()).any() || (result.x.array() > bounds.upper.array()).any())
-      guard_.fail("x of a result from minimise() is out of bounds");
     if (std::isnan(result.cost)) guard_.fail("the cost of a result from minimise() is NaN");
     if (result.status < OptimiserStatus::converged || result.status > OptimiserStatus::infeasible)
       guard_.fail("the status of a result from minimise() is none of OptimiserStatus");
+    if (!guard_.callers_too()) return;
+    if ((result.x.array() < bounds.lower.array()).any() || (result.x.array() > bounds.upper.array()).any())
+      guard_.fail("x of a result from minimise() is out of bounds");
   }
 
   Guard guard_;
@@ -100,8 +103,8 @@ class CheckedOptimiser final : public Optimiser {
 
 }  // namespace
 
-std::shared_ptr<Optimiser> checked(const std::string& name, std::shared_ptr<Optimiser> plugin) {
-  return std::make_shared<CheckedOptimiser>(name, std::move(plugin));
+std::shared_ptr<Optimiser> checked(const std::string& name, std::shared_ptr<Optimiser> plugin, PluginChecks checks) {
+  return std::make_shared<CheckedOptimiser>(name, std::move(plugin), checks);
 }
 
 }  // namespace weft

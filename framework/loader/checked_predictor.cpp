@@ -176,8 +176,8 @@ class CheckedTrainable final : public TrainablePredictor {
 
 class CheckedPredictor final : public Predictor {
  public:
-  CheckedPredictor(const std::string& name, std::shared_ptr<Predictor> plugin)
-      : guard_(kKind, name), plugin_(std::move(plugin)) {
+  CheckedPredictor(const std::string& name, std::shared_ptr<Predictor> plugin, PluginChecks checks)
+      : guard_(kKind, name, checks == PluginChecks::all), plugin_(std::move(plugin)) {
     auto* const trainable = guard_.call("trainable()", [&] { return plugin_->trainable(); });
     if (trainable != nullptr) trainable_.emplace(guard_, *trainable);
   }
@@ -229,8 +229,8 @@ class CheckedPredictor final : public Predictor {
 
 }  // namespace
 
-std::shared_ptr<Predictor> checked(const std::string& name, std::shared_ptr<Predictor> plugin) {
-  return std::make_shared<CheckedPredictor>(name, std::move(plugin));
+std::shared_ptr<Predictor> checked(const std::string& name, std::shared_ptr<Predictor> plugin, PluginChecks checks) {
+  return std::make_shared<CheckedPredictor>(name, std::move(plugin), checks);
 }
 
 }  // namespace weft

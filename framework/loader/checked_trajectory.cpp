@@ -7,8 +7,8 @@ namespace {
 
 class CheckedTrajectory final : public Trajectory {
  public:
-  CheckedTrajectory(const std::string& name, std::shared_ptr<Trajectory> plugin)
-      : guard_(kKind, name), plugin_(std::move(plugin)) {
+  CheckedTrajectory(const std::string& name, std::shared_ptr<Trajectory> plugin, PluginChecks checks)
+      : guard_(kKind, name, checks == PluginChecks::all), plugin_(std::move(plugin)) {
     controls_ = read_variables("controls()", [&] { return plugin_->controls(); });
     states_ = read_variables("state()", [&] { return plugin_->state(); });
     hands_ = guard_.call("hands()", [&] {
@@ -188,8 +188,8 @@ class CheckedTrajectory final : public Trajectory {
 
 }  // namespace
 
-std::shared_ptr<Trajectory> checked(const std::string& name, std::shared_ptr<Trajectory> plugin) {
-  return std::make_shared<CheckedTrajectory>(name, std::move(plugin));
+std::shared_ptr<Trajectory> checked(const std::string& name, std::shared_ptr<Trajectory> plugin, PluginChecks checks) {
+  return std::make_shared<CheckedTrajectory>(name, std::move(plugin), checks);
 }
 
 }  // namespace weft

@@ -2,6 +2,7 @@
 
 #include <exception>
 
+#include "loader/checked.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -65,7 +66,8 @@ void rethrow_named_but_config(const std::string& name) { rethrow_with(where_text
 void rethrow_unblamed() { rethrow_with("", "", true); }
 
 void Guard::fail(const std::string& problem) const {
-  throw NamedError<Error>(where_text() + ": " + problem + "; `weft conformance " + name_ + "` shows what it must be");
+  throw NamedError<WrongResult>(where_text() + ": " + problem + "; `weft conformance " + name_ +
+                                "` shows what it must be");
 }
 void Guard::fail_size(const char* what, Index got, Index wanted) const {
   fail(std::string(what) + " has size " + std::to_string(got) + ", must have " + std::to_string(wanted));

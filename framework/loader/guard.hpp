@@ -29,7 +29,9 @@ bool all_finite(const Array& array) {
 /// of the work: "optimiser adam, planning, segment 3: ...".
 class Guard {
  public:
-  Guard(const std::string& kind, std::string name) : name_(std::move(name)), label_(kind + " " + name_) {}
+  /// @param callers_too false: what the plugin is given is its own to check.
+  Guard(const std::string& kind, std::string name, bool callers_too)
+      : name_(std::move(name)), label_(kind + " " + name_), callers_too_(callers_too) {}
 
   /// Returns body(), a call into the plugin and the checks of its result.
   /// @param call "minimise()", for the report of a crash.
@@ -63,24 +65,25 @@ class Guard {
     if (!all_finite(array)) [[unlikely]]
       fail(std::string(what) + " is not finite");
   }
-  /// @throws Error: "optimiser adam, planning, segment 3: <problem>; ..."
+  /// @throws WrongResult: "optimiser adam, planning, segment 3: <problem>; ..."
   [[noreturn]] void fail(const std::string& problem) const;
   [[noreturn]] void fail_size(const char* what, Index got, Index wanted) const;
 
   // Checks of what a caller gives to the plugin, before call(): not the plugin is wrong, but who called it.
   void want_from_caller(const char* what, Index got, Index wanted) const {
-    if (got != wanted) [[unlikely]]
+    if (got != wanted && callers_too_) [[unlikely]]
       blame_caller_size(what, got, wanted);
   }
   /// @throws ShapeError: "predictor mine, planning, segment 3: gave trajectory arc <problem>"
   [[noreturn]] void blame_caller(const std::string& problem) const;
   [[noreturn]] void blame_caller_size(const char* what, Index got, Index wanted) const;
 
-  const std::string& name() const { return name_; }
+  bool callers_too() const { return callers_too_; }
 
  private:
   std::string name_;   // "adam"
   std::string label_;  // "optimiser adam"
+  bool callers_too_;
 };
 
 /// Returns body(), which a plugin calls back. What it throws is not the plugin's fault.

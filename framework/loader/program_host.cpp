@@ -145,7 +145,7 @@ class ProgramHost final : public Host {
  protected:
   std::shared_ptr<void> create_erased(const std::string& kind, const ConfigNode& slot) override {
     auto [object, entry] = registry_->create(kind, slot, *this);
-    return options_.raw_plugins ? std::move(object) : checked(kind, entry.name, std::move(object));
+    return checked(kind, entry.name, std::move(object), options_.checks);
   }
 
  private:

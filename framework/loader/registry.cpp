@@ -10,6 +10,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <sstream>
 
 #include "loader/where.hpp"
@@ -222,10 +223,13 @@ struct PluginRegistry::Impl {
   /// first one that is wins. This one order decides what run, describe and plugins take. Refused ones are passed on too.
   template <class Each>
   void search(const std::string& kind, const std::string& name, Each&& each) const {
+    std::set<fs::path> seen;  // a folder may be given twice, and a library may be linked to
     for (const auto& folder : search_path) {
       for (const auto& candidate : candidates_in(folder)) {
         if (!candidate.kind.empty() && !name.empty() && candidate.name != name) continue;
         if (!candidate.kind.empty() && !kind.empty() && candidate.kind != kind) continue;
+        std::error_code ignored;
+        if (!seen.insert(fs::weakly_canonical(candidate.file, ignored)).second) continue;
         std::shared_ptr<const Library> found;
         std::string refusal;
         try {
@@ -307,8 +311,7 @@ std::vector<PluginEntry> PluginRegistry::list() const {
       return true;
     }
     const auto [winner, is_new] = good.try_emplace({found->entry.kind, found->entry.name}, found->entry);
-    std::error_code ignored;
-    if (!is_new && !fs::equivalent(winner->second.file, file, ignored)) winner->second.shadows.push_back(file);
+    if (!is_new) winner->second.shadows.push_back(file);
     return true;
   });
   for (auto& [key, entry] : good) entries.push_back(std::move(entry));
