@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 #include <sstream>
 
 #include "commands.hpp"
@@ -97,7 +96,7 @@ int ablate(const Context& context, const std::string& file) {
   const std::string json = ablation_json(plan, rows);
   write_text(folder / "ablation.csv", ablation_csv(plan, rows));
   write_text(folder / "ablation.json", json);
-  if (context.json) std::cout << json;
+  if (context.json) context.output() << json;
   std::vector<std::string> metrics = {"error_mm", "first_plan_loss", "evaluations", "cpu_seconds"};
   if (plan.measure == "physics") metrics = sweep_metrics(rows);
   for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));

@@ -1,7 +1,6 @@
 #include <unistd.h>
 
 #include <cstdio>
-#include <iostream>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -135,7 +134,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   json["provenance"] = ordered_json::parse(given.provenance());
   const std::string text = json.dump(2) + "\n";
   write_text(fs::path(out).replace_extension(".calibration.json"), text);
-  if (context.json) std::cout << text;
+  if (context.json) context.output() << text;
   context.say("calibrated on " + std::to_string(report.examples) + " examples: " + out.string());
   return 0;
 }

@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -53,7 +52,7 @@ int info(const Context& context, const std::string& folder) {
   for (std::size_t s = 0; s < 3; ++s) json["splits"][kSplitNames[s]] = splits[s];
   for (const auto& [length, count] : lengths) json["by_length"][std::to_string(length)] = count;
   if (context.json) {
-    std::cout << json.dump(2) << '\n';
+    context.output() << json.dump(2) << '\n';
     return 0;
   }
   std::printf("dataset %s, seed %llu: %s, %td vertices\n", header.identity.c_str(),
@@ -101,7 +100,7 @@ int check(const Context& context, const std::string& folder) {
     if (!context.json) std::fprintf(stderr, "%s\n", problem.c_str());
   }
   if (context.json) {
-    std::cout
+    context.output()
         << ordered_json{{"files", files.size()}, {"examples", examples}, {"bad", bad}, {"problems", problems}}.dump(2)
         << '\n';
   }
@@ -121,7 +120,8 @@ int split(const Context& context, const std::string& folder) {
   if (context.out.empty()) throw ConfigError("weft dataset split: --out FOLDER is required");
   const auto counts = split_dataset(folder, context.out);
   if (context.json) {
-    std::cout << ordered_json{{"train", counts[0]}, {"validation", counts[1]}, {"test", counts[2]}}.dump(2) << '\n';
+    context.output() << ordered_json{{"train", counts[0]}, {"validation", counts[1]}, {"test", counts[2]}}.dump(2)
+                     << '\n';
   }
   context.say(std::to_string(counts[0]) + " train, " + std::to_string(counts[1]) + " validation, " +
               std::to_string(counts[2]) + " test examples in " + context.out);

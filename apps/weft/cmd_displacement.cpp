@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -17,11 +16,11 @@ int tune(Context& context, const std::string& file) {
   const auto simulator = given.host->create<Simulator>(given.task.simulator);
   const auto result = tune_displacement(given.task, *simulator, MaterialProperties::Constant(0.5));
   if (context.json) {
-    std::cout << nlohmann::ordered_json{{"displacement_m", {result.displacement.x(), result.displacement.y()}},
-                                        {"misfit_mm", result.misfit_mm},
-                                        {"folds", result.evaluations}}
-                     .dump(2)
-              << '\n';
+    context.output() << nlohmann::ordered_json{{"displacement_m", {result.displacement.x(), result.displacement.y()}},
+                                               {"misfit_mm", result.misfit_mm},
+                                               {"folds", result.evaluations}}
+                            .dump(2)
+                     << '\n';
   } else {
     std::printf("displacement_m: [%.4f, %.4f]\n", result.displacement.x(), result.displacement.y());
     char line[120];

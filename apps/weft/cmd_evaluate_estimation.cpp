@@ -1,4 +1,3 @@
-#include <iostream>
 
 #include "commands.hpp"
 #include "evaluation_run.hpp"
@@ -24,7 +23,7 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
   const auto& first = columns.front();
   write_estimation_shapes(first, *evaluation.given.task.garment, evaluation.source_folder(first.cases.source),
                           evaluation.out / "cases.h5");
-  if (context.json) std::cout << json;
+  if (context.json) context.output() << json;
   context.say(estimation_evaluation_table(json));
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());

@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <iostream>
 #include <mutex>
 #include <nlohmann/json.hpp>
 
@@ -75,7 +74,7 @@ int evaluate(Context& context, const std::string& file) {
   write_text(out / "provenance.json", given.provenance());
   write_text(out / "physics.json", to_json(rows));
   write_text(out / "physics.csv", to_csv(rows));
-  if (context.json) std::cout << to_json(rows);
+  if (context.json) context.output() << to_json(rows);
   const auto failed = std::count_if(rows.begin(), rows.end(), [](const PhysicsRow& r) { return !r.passed; });
   context.say(std::to_string(rows.size()) + " comparisons, " + std::to_string(failed) + " outside their bound");
   write_page(context, out);

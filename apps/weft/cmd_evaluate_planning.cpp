@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 
 #include "commands.hpp"
 #include "evaluation_run.hpp"
@@ -27,7 +26,7 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   const auto& first = columns.front();
   write_planning_shapes(first, *evaluation.given.task.garment, evaluation.source_folder(first.cases.source),
                         evaluation.out / "cases.h5");
-  if (context.json) std::cout << json;
+  if (context.json) context.output() << json;
   for (const auto& column : columns) context.say(planning_evaluation_table(column));
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());

@@ -1,6 +1,5 @@
 #include <cmath>
 #include <cstdio>
-#include <iostream>
 
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
@@ -70,7 +69,7 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
   write_text(out / "prediction.csv", prediction_evaluation_csv(result));
   write_text(out / "prediction.json", json);
   write_prediction_shapes(result, *given.task.garment, out / "cases.h5");
-  if (context.json) std::cout << json;
+  if (context.json) context.output() << json;
   char line[200];
   context.say("settled shape           n   mean mm  median mm     nll  coverage    nse  sigma mm");
   const auto row = [&](const char* name, const PredictionFigures& f) {

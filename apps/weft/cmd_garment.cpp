@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
@@ -91,7 +90,7 @@ int run_garment(const Context& context, Request request) {
                                 {"edge_m", {{"min", q.edge_min_m}, {"median", q.edge_median_m}, {"max", q.edge_max_m}}},
                                 {"area_m2", q.area_m2},
                                 {"named", result.vertices}};
-    std::cout << json.dump(2) << '\n';
+    context.output() << json.dump(2) << '\n';
     return 0;
   }
   char text[256];

@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -94,12 +93,12 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   const GenerateReport report = generate_dataset(given.task, given.params.data, header, options, *given.host, progress);
   const double rate = report.seconds > 0 ? static_cast<double>(report.made) / report.seconds : 0.0;
   if (context.json) {
-    std::cout << nlohmann::ordered_json{{"made", report.made},         {"kept", report.kept},
-                                        {"failed", report.failed},     {"files", report.files},
-                                        {"seconds", report.seconds},   {"examples_per_s", rate},
-                                        {"identity", header.identity}, {"cancelled", report.cancelled}}
-                     .dump(2)
-              << '\n';
+    context.output() << nlohmann::ordered_json{{"made", report.made},         {"kept", report.kept},
+                                               {"failed", report.failed},     {"files", report.files},
+                                               {"seconds", report.seconds},   {"examples_per_s", rate},
+                                               {"identity", header.identity}, {"cancelled", report.cancelled}}
+                            .dump(2)
+                     << '\n';
   }
   char line[200];
   std::snprintf(line, sizeof(line),

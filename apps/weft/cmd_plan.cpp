@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -78,7 +77,7 @@ int run_alone(Context& context, const Options& options, const std::string& name,
   write_text(folder / "config.yaml", given.saved_config(folder).to_yaml());
   write_text(folder / "provenance.json", given.provenance());
   write_text(folder / (name + ".json"), json);
-  if (context.json) std::cout << json;
+  if (context.json) context.output() << json;
   context.say("results in " + folder.string());
   return 0;
 }

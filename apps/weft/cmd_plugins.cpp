@@ -20,18 +20,22 @@ int list_plugins(const Context& context) {
   if (context.json) {
     auto array = nlohmann::ordered_json::array();
     for (const auto& e : entries) {
+      std::vector<std::string> shadows;
+      for (const auto& file : e.shadows) shadows.push_back(file.string());
       array.push_back({{"kind", e.kind},
                        {"name", e.name},
                        {"version", e.version},
                        {"file", e.file.string()},
+                       {"shadows", shadows},
                        {"refusal", e.refusal}});
     }
-    std::cout << array.dump(2) << '\n';
+    context.output() << array.dump(2) << '\n';
     return 0;
   }
   for (const auto& e : entries) {
     if (e.refusal.empty()) {
       std::printf("%-11s %-14s %-8s %s\n", e.kind.c_str(), e.name.c_str(), e.version.c_str(), e.file.c_str());
+      for (const auto& file : e.shadows) std::printf("%-11s not used: %s\n", "", file.c_str());
     } else {
       std::printf("%s\n", e.refusal.c_str());
     }
@@ -109,7 +113,7 @@ int describe(const Context& context, const std::string& name, bool markdown) {
       if (p.length.count > 0) array.back()["length"] = p.length.count;
     }
     about["params"] = array;
-    std::cout << about.dump(2) << '\n';
+    context.output() << about.dump(2) << '\n';
   } else if (markdown) {
     std::cout << params_markdown(params);
   } else {

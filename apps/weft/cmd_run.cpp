@@ -1,6 +1,5 @@
 #include <algorithm>
 #include <cstdio>
-#include <iostream>
 
 #include "commands.hpp"
 #include "output.hpp"
@@ -46,7 +45,7 @@ int run(Context& context, const std::string& file) {
   write_session(folder / "session.h5", result, given.task, saved, provenance);
   write_text(folder / "summary.json", summary);
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
-  if (context.json) std::cout << summary;
+  if (context.json) context.output() << summary;
   char line[200];
   std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm)",
                 result.shapes_are_true ? "" : "observed ", result.error_mm, result.rounds.size(),

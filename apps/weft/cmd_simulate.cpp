@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 
 #include "commands.hpp"
 #include "output.hpp"
@@ -53,7 +52,7 @@ int simulate(Context& context, const std::string& file) {
   write_text(folder / "provenance.json", provenance_json(*registry, *host, run.seed));
   write_text(folder / "summary.json", summary);
   for (const auto& warning : result.warnings) host->log(LogLevel::warning, warning);
-  if (context.json) std::cout << summary;
+  if (context.json) context.output() << summary;
   char line[200];
   std::snprintf(line, sizeof line, "%lld frames, largest speed %.2g m/s, largest strain %.2g %%, %lld intersections",
                 static_cast<long long>(result.frames), result.max_speed, 100.0 * result.final_strain,

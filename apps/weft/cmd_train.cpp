@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <iostream>
 
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
@@ -61,7 +60,7 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   write_text(out / "training.json", report.json);
   write_text(out / "config.yaml",
              given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
-  if (context.json) std::cout << report.json;
+  if (context.json) context.output() << report.json;
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
                 report.finished ? "done" : "stopped; run the same command again to go on",
                 static_cast<long long>(report.iterations), duration(report.seconds).c_str(), model.c_str());

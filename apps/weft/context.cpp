@@ -1,8 +1,14 @@
 #include "context.hpp"
 
+#include <fcntl.h>
+#include <unistd.h>
+#include <ext/stdio_filebuf.h>
+
 #include <atomic>
+#include <cerrno>
 #include <csignal>
 #include <cstdio>
+#include <cstring>
 #include <iostream>
 
 #include "loader/program_host.hpp"
@@ -13,6 +19,7 @@ namespace {
 
 std::atomic<bool> interrupted = false;  // set in a signal handler: must be lock-free
 static_assert(std::atomic<bool>::is_always_lock_free);
+std::ostream* kept_output = nullptr;  // null: stdout as it is
 
 }  // namespace
 
@@ -34,7 +41,8 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
   return kept.emplace_back(std::make_shared<PluginRegistry>(std::move(folders)));
 }
 
-std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed) const {
+std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed,
+                                    PluginChecks checks) const {
   std::signal(SIGINT, [](int) {
     interrupted = true;
     std::signal(SIGINT, SIG_DFL);  // a second ^C ends the program at once
@@ -43,6 +51,7 @@ std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugin
   options.threads = jobs;
   options.seed = host_seed;
   options.cancel = &interrupted;
+  options.checks = checks;
   options.log = [this](LogLevel level, const std::string& message) {
     if (level == LogLevel::debug || (level == LogLevel::info && (quiet || json))) return;
     const char* prefix = level == LogLevel::warning ? "warning: " : level == LogLevel::error ? "error: " : "";
@@ -57,6 +66,20 @@ const std::atomic<bool>* Context::cancel_flag() const { return &interrupted; }
 void Context::say(const std::string& line) const {
   if (!quiet && !json) std::cout << line << std::endl;
 }
+
+void Context::keep_output() {
+  if (kept_output != nullptr) return;
+  std::cout.flush();
+  std::fflush(stdout);
+  const int own = fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 10);  // above the numbers that children know
+  if (own < 0 || dup2(STDERR_FILENO, STDOUT_FILENO) < 0)
+    throw Error(std::string("stdout cannot be kept for the result: ") + std::strerror(errno));
+  static __gnu_cxx::stdio_filebuf<char> buffer(own, std::ios::out);
+  static std::ostream stream(&buffer);
+  kept_output = &stream;
+}
+
+std::ostream& Context::output() { return kept_output != nullptr ? *kept_output : std::cout; }
 
 std::shared_ptr<const PluginRegistry> registry_of_overrides(const Context& context) {
   ConfigNode config;

@@ -5,9 +5,11 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <ostream>
 #include <string>
 #include <vector>
 
+#include "loader/checked.hpp"
 #include "loader/registry.hpp"
 
 namespace weft::app {
@@ -28,11 +30,16 @@ struct Context {
   ConfigNode load(const std::string& file) const;
   /// Registry over `plugin_path` of the config, the environment and the default folders.
   std::shared_ptr<const PluginRegistry> registry(const ConfigNode& config = {}) const;
-  std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed) const;
+  std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed,
+                             PluginChecks checks = PluginChecks::all) const;
   /// Set when the user asks to stop, after host() was called.
   const std::atomic<bool>* cancel_flag() const;
   /// Prints a line for people; nothing with --quiet or --json.
   void say(const std::string& line) const;
+  /// Keeps stdout for what is written to output(); what plugins print there goes to stderr from now on.
+  static void keep_output();
+  /// Where a command writes its result, such as JSON.
+  static std::ostream& output();
 };
 
 /// Adds --set, --seed, --out, --jobs, --quiet and --json to a subcommand.

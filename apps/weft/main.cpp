@@ -1,7 +1,11 @@
+#include <unistd.h>
+
 #include <cstdio>
 #include <exception>
 
 #include "commands.hpp"
+#include "loader/where.hpp"
+#include "processes/crash_report.hpp"
 #include "weft/config.hpp"
 #include "weft_commit.hpp"
 
@@ -56,8 +60,13 @@ int main(int argc, char** argv) {
     }
     return app.exit(error) == 0 ? 0 : 2;
   }
+  install_crash_report(STDERR_FILENO, write_where);
   try {
-    return context.action();
+    const CrashWatch watch;
+    if (context.json) Context::keep_output();
+    const int code = context.action();
+    Context::output().flush();
+    return code;
   } catch (const ConfigError& error) {
     std::fprintf(stderr, "error: %s\n", error.what());
     return 2;

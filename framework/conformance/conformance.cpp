@@ -26,6 +26,13 @@ void prepare(const std::string& kind, const Bench& bench) {
   if (kind != "predictor" && !bench.task.is_null()) bench.task.fail("is for predictors; this is a " + kind);
 }
 
+void probe(const std::string& kind, const Bench& bench) {
+  if (kind == "simulator") probe_simulator(bench);
+  if (kind == "trajectory") probe_trajectory(bench);
+  if (kind == "optimiser") probe_optimiser(bench);
+  if (kind == "predictor") probe_predictor(bench);
+}
+
 LawResult blank(const Law& law) {
   LawResult result;
   result.law = law.name;
@@ -74,8 +81,8 @@ std::vector<LawResult> list_laws(const std::string& kind) {
   return results;
 }
 
-std::vector<LawResult> check_conformance(Host& host, const std::string& kind, const ConfigNode& slot,
-                                         const ConfigNode& tolerances, const std::vector<std::string>& only) {
+std::vector<LawResult> planned_laws(const std::string& kind, const ConfigNode& tolerances,
+                                    const std::vector<std::string>& only) {
   const auto& laws = conformance::laws_of(kind);
   std::vector<std::string> names;
   for (const auto& law : laws) names.emplace_back(law.name);
@@ -87,7 +94,6 @@ std::vector<LawResult> check_conformance(Host& host, const std::string& kind, co
   keys.insert(keys.end(), {"params", "task"});
   if (!tolerances.is_null()) tolerances.refuse_unknown_keys(keys);
 
-  // The whole file is read before any law runs.
   std::vector<LawResult> results;
   for (const auto& law : laws) {
     LawResult result = conformance::blank(law);
@@ -99,17 +105,36 @@ std::vector<LawResult> check_conformance(Host& host, const std::string& kind, co
     }
     if (only.empty() || std::find(only.begin(), only.end(), result.law) != only.end()) results.push_back(result);
   }
+  return results;
+}
+
+std::vector<LawResult> check_conformance(Host& host, const std::string& kind, const ConfigNode& slot,
+                                         const ConfigNode& tolerances, const std::vector<std::string>& only) {
+  std::vector<LawResult> results = planned_laws(kind, tolerances, only);
+  const auto& laws = conformance::laws_of(kind);
   ConfigNode full = slot.is_scalar() ? ConfigNode::mapping({{"plugin", slot}}) : slot;
   if (const auto params = tolerances.find("params"))
     full = full.with("params", full.has("params") ? params->merged(full.at("params")) : *params);
   const conformance::Bench bench{host, full, tolerances.find("task").value_or(ConfigNode())};
 
-  conformance::prepare(kind, bench);  // a wrong parameter or task is the user's error and fails no law
+  std::string unusable;
+  try {
+    conformance::prepare(kind, bench);
+  } catch (const ConfigError&) {
+    throw;  // a wrong parameter or task is the user's error and fails no law
+  } catch (const PluginError&) {
+    throw;
+  } catch (const std::exception& error) {
+    unusable = error.what();
+  }
 
   for (auto& result : results) {
-    const auto& law = laws[std::find(names.begin(), names.end(), result.law) - names.begin()];
+    const auto& law =
+        *std::find_if(laws.begin(), laws.end(), [&](const conformance::Law& one) { return result.law == one.name; });
     conformance::Outcome outcome;
     try {
+      if (!unusable.empty()) throw Error(unusable);
+      conformance::probe(kind, bench);
       outcome = law.check(bench);
     } catch (const std::exception& error) {
       outcome = conformance::failed(std::string("threw: ") + error.what());

@@ -17,9 +17,16 @@ struct LawResult {
   std::string detail;  ///< why it failed; for an undeclared capability: "not declared; throws Unsupported"
 };
 
+/// The laws of a kind that are to be checked, with their bounds; nothing has been run.
+/// @param tolerances, only as for check_conformance(). All of `tolerances` is checked.
+/// @throws ConfigError for a tolerance without a reason, or for an unknown law.
+std::vector<LawResult> planned_laws(const std::string& kind, const ConfigNode& tolerances,
+                                    const std::vector<std::string>& only = {});
+
 /// Checks a plugin against the laws of its kind. Laws follow declared capabilities, never plugin names: a declared
 /// capability must work, an undeclared one must throw Unsupported.
-/// @param host makes the plugin (and the simulator and trajectory of a predictor's task) from its registry.
+/// @param host makes the plugin (and the simulator and trajectory of a predictor's task) from its registry, with
+/// PluginChecks::results: a result of the wrong size, or with a number that is not finite, fails whatever law meets it.
 /// @param slot {plugin, params}, or a bare name or library file.
 /// @param tolerances mapping law -> {bound, reason} that replaces the default bound; `params:` to run with; for
 /// predictors `task:` to bind with (docs/conformance.md); null: defaults.

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "conformance/conformance.hpp"
+#include "loader/checked.hpp"
 #include "weft/predictor.hpp"
 
 /// Shared by the laws of all kinds. Internal to the conformance kit.
@@ -43,6 +44,13 @@ const std::vector<Law>& predictor_laws();
 const std::vector<Law>& trajectory_laws();
 const std::vector<Law>& optimiser_laws();
 
+// One valid use of a plugin of each kind, before a law. A law that only looks at refusals then fails too for a plugin
+// whose results are empty or not finite.
+void probe_simulator(const Bench& bench);
+void probe_predictor(const Bench& bench);
+void probe_trajectory(const Bench& bench);
+void probe_optimiser(const Bench& bench);
+
 /// The task that predictors are bound to: `task:` of the tolerances if given, else the kit's towel fold.
 Task predictor_task(const Bench& bench);
 
@@ -61,6 +69,8 @@ class Refusals {
     try {
       call();
       miss(what + " was accepted");
+    } catch (const WrongResult& error) {
+      miss(what + " was accepted: " + error.what());
     } catch (const std::exception& error) {
       if (!(... || (dynamic_cast<const Wanted*>(&error) != nullptr)))
         miss(what + " threw the wrong kind of error: " + error.what());

@@ -481,6 +481,13 @@ Outcome refuses_nan(const Bench& bench) {
 }  // namespace
 }  // namespace of_optimisers
 
+void probe_optimiser(const Bench& bench) {
+  const auto o = bench.make<Optimiser>();
+  Search s(*o, 3, small_bowl(), spread(3, 2));
+  s.options.max_iterations = 2;
+  s.run();
+}
+
 const std::vector<Law>& optimiser_laws() {
   using namespace of_optimisers;
   static const std::vector<Law> laws = {

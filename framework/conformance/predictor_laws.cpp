@@ -714,6 +714,11 @@ Outcome refuses_nan(const Bench& bench) {
 }  // namespace
 }  // namespace of_predictors
 
+void probe_predictor(const Bench& bench) {
+  const Fold fold(bench);
+  fold.predict({fold.ask(1, {1}, 1)});
+}
+
 Task predictor_task(const Bench& bench) {
   if (bench.task.has("garment")) {
     TaskParams params;

@@ -671,6 +671,13 @@ Outcome non_finite_state_never_leaves(const Bench& bench) {
 }  // namespace
 }  // namespace of_simulators
 
+void probe_simulator(const Bench& bench) {
+  const auto sim = bench.make<Simulator>();
+  sim->reset(sheet(), plain_fabric(), Scene());
+  sim->step(kNothing);
+  sim->diagnostics();
+}
+
 const std::vector<Law>& simulator_laws() {
   using namespace of_simulators;
   static const std::vector<Law> laws = {

@@ -345,6 +345,12 @@ Outcome refuses_bad_shapes(const Bench& bench) {
 }  // namespace
 }  // namespace of_trajectories
 
+void probe_trajectory(const Bench& bench) {
+  const auto t = bench.make<Trajectory>();
+  const Manipulation m = skew(*t, 0);
+  t->targets(m, t->advance(m, t->initial_state(m), t->default_controls(1).row(0).transpose()));
+}
+
 const std::vector<Law>& trajectory_laws() {
   using namespace of_trajectories;
   static const std::vector<Law> laws = {

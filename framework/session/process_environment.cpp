@@ -1,101 +1,22 @@
 #include "session/process_environment.hpp"
 
-#include <fcntl.h>
-#include <poll.h>
-#include <spawn.h>
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <algorithm>
-#include <cerrno>
-#include <chrono>
 #include <cmath>
 #include <csignal>
-#include <cstring>
 #include <limits>
 #include <nlohmann/json.hpp>
-#include <thread>
+#include <optional>
 
+#include "processes/child_process.hpp"
 #include "weft/config.hpp"
-
-extern char** environ;
 
 namespace weft {
 namespace {
 
 using json = nlohmann::json;
-using Clock = std::chrono::steady_clock;
 
 constexpr const char* kProtocol = "weft environment";
 constexpr double kGraceSeconds = 2.0;  ///< wait for the process to end by itself, and once more after SIGTERM
-
-Clock::time_point seconds_from_now(double seconds) {
-  return Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
-}
-
-/// A pipe. The destructor closes it, and it is closed in every program that this one starts.
-class Pipe {
- public:
-  Pipe() {
-    if (pipe2(ends_, O_CLOEXEC) != 0) throw Error(std::string("a pipe cannot be made: ") + std::strerror(errno));
-  }
-  ~Pipe() {
-    close_reader();
-    close_writer();
-  }
-  Pipe(const Pipe&) = delete;
-  Pipe& operator=(const Pipe&) = delete;
-  int reader() const { return ends_[0]; }
-  int writer() const { return ends_[1]; }
-  void close_reader() { close_end(ends_[0]); }
-  void close_writer() { close_end(ends_[1]); }
-
- private:
-  static void close_end(int& end) {
-    if (end >= 0) close(end);
-    end = -1;
-  }
-  int ends_[2] = {-1, -1};
-};
-
-/// While it exists, writing to an ended process gives an error instead of a signal that would end this program. It does
-/// not change other threads or the program's handling of SIGPIPE.
-class NoBrokenPipeSignal {
- public:
-  NoBrokenPipeSignal() {
-    sigemptyset(&broken_);
-    sigaddset(&broken_, SIGPIPE);
-    sigset_t pending;
-    sigpending(&pending);
-    was_pending_ = sigismember(&pending, SIGPIPE) == 1;
-    pthread_sigmask(SIG_BLOCK, &broken_, &before_);
-  }
-  ~NoBrokenPipeSignal() {
-    const timespec now{0, 0};
-    if (!was_pending_) {
-      while (sigtimedwait(&broken_, nullptr, &now) == -1 && errno == EINTR) continue;
-    }
-    pthread_sigmask(SIG_SETMASK, &before_, nullptr);
-  }
-  NoBrokenPipeSignal(const NoBrokenPipeSignal&) = delete;
-  NoBrokenPipeSignal& operator=(const NoBrokenPipeSignal&) = delete;
-
- private:
-  sigset_t broken_, before_;
-  bool was_pending_ = false;
-};
-
-/// @return false if the time is over first.
-bool wait_for(int file, short event, Clock::time_point deadline) {
-  while (true) {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now()).count();
-    pollfd one{file, event, 0};
-    const int ready = poll(&one, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 1000000)));
-    if (ready > 0) return true;
-    if (ready < 0 && errno != EINTR) throw Error(std::string("poll: ") + std::strerror(errno));
-    if (left <= 0) return false;
-  }
-}
 
 /// The beginning of a process's output, for a message.
 std::string excerpt(const std::string& text) {
@@ -149,9 +70,20 @@ class ProcessEnvironment::Link {
   Link(const ProcessOptions& options, Index vertices) : timeout_s_(options.timeout_s) {
     for (const auto& word : options.command) name_ += (name_.empty() ? "" : " ") + word;
     longest_line_ = 1'000'000 + 1'000 * static_cast<std::size_t>(vertices);
-    start(options);
+    if (!std::filesystem::is_directory(options.folder))
+      throw ConfigError("the working folder " + options.folder.string() + " does not exist");
+    // Its own process group: ^C ends a session after the current segment, and must not reach the robot's process.
+    process_.emplace(ChildOptions{.command = options.command, .folder = options.folder, .own_group = true});
   }
-  ~Link() { end(); }
+  ~Link() {
+    if (!process_) return;
+    process_->close_input();
+    process_->close_output();
+    for (const int signal : {SIGTERM, SIGKILL}) {
+      if (process_->wait_until(seconds_from_now(kGraceSeconds))) break;
+      process_->kill(signal);
+    }
+  }
 
   [[noreturn]] void fail(const std::string& message) const { throw Error("environment `" + name_ + "` " + message); }
 
@@ -189,101 +121,29 @@ class ProcessEnvironment::Link {
   const std::vector<std::string>& warnings() const { return warnings_; }
 
  private:
-  void start(const ProcessOptions& options) {
-    if (!std::filesystem::is_directory(options.folder))
-      throw ConfigError("the working folder " + options.folder.string() + " does not exist");
-    posix_spawn_file_actions_t files;
-    posix_spawn_file_actions_init(&files);
-    posix_spawn_file_actions_adddup2(&files, to_.reader(), STDIN_FILENO);
-    posix_spawn_file_actions_adddup2(&files, from_.writer(), STDOUT_FILENO);
-    posix_spawn_file_actions_addchdir_np(&files, options.folder.c_str());
-    // Its own process group: ^C ends a session after the current segment, and must not reach the robot's process.
-    posix_spawnattr_t attributes;
-    posix_spawnattr_init(&attributes);
-    posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETPGROUP | POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
-    sigset_t none, standard;
-    sigemptyset(&none);
-    posix_spawnattr_setsigmask(&attributes, &none);
-    sigemptyset(&standard);
-    for (const int signal : {SIGPIPE, SIGINT, SIGTERM}) sigaddset(&standard, signal);
-    posix_spawnattr_setsigdefault(&attributes, &standard);
-    std::vector<std::string> words = options.command;
-    std::vector<char*> arguments;
-    for (auto& word : words) arguments.push_back(word.data());
-    arguments.push_back(nullptr);
-    const int problem = posix_spawnp(&process_, arguments.front(), &files, &attributes, arguments.data(), environ);
-    posix_spawn_file_actions_destroy(&files);
-    posix_spawnattr_destroy(&attributes);
-    if (problem != 0) throw ConfigError(std::string("cannot be run: ") + std::strerror(problem));
-    to_.close_reader();
-    from_.close_writer();
-    for (const int file : {to_.writer(), from_.reader()}) fcntl(file, F_SETFL, fcntl(file, F_GETFL) | O_NONBLOCK);
-  }
-
-  /// @return whether the process has ended by the deadline. Does not reap it.
-  bool ended_by(Clock::time_point deadline) const {
-    while (true) {
-      siginfo_t info{};
-      if (waitid(P_PID, process_, &info, WEXITED | WNOHANG | WNOWAIT) == 0 && info.si_pid != 0) return true;
-      if (Clock::now() >= deadline) return false;
-      std::this_thread::sleep_for(std::chrono::milliseconds(2));
-    }
-  }
-  void end() {
-    to_.close_writer();
-    from_.close_reader();
-    for (const int signal : {SIGTERM, SIGKILL}) {
-      if (ended_by(seconds_from_now(kGraceSeconds))) break;
-      kill(-process_, signal);
-    }
-    while (waitpid(process_, nullptr, 0) == -1 && errno == EINTR) continue;
-  }
   /// Reports a process that closed its pipe.
-  [[noreturn]] void fail_ended(const std::string& asked) const {
-    siginfo_t info{};
-    if (!ended_by(seconds_from_now(1.0)) || waitid(P_PID, process_, &info, WEXITED | WNOHANG | WNOWAIT) != 0)
-      fail("closed its pipe before it answered " + asked);
-    if (info.si_code == CLD_EXITED)
-      fail("ended with exit code " + std::to_string(info.si_status) + " before it answered " + asked);
-    fail("was ended by signal " + std::to_string(info.si_status) + " (" + strsignal(info.si_status) +
-         ") before it answered " + asked);
+  [[noreturn]] void fail_ended(const std::string& asked) {
+    const auto end = process_->wait_until(seconds_from_now(1.0));
+    if (!end) fail("closed its pipe before it answered " + asked);
+    fail(end->text() + " before it answered " + asked);
   }
 
-  void send(const std::string& asked, const std::string& line, Clock::time_point deadline) {
-    if (!read_.empty()) fail("sent more than its answer: " + excerpt(read_));
-    const NoBrokenPipeSignal quiet;
-    for (std::size_t sent = 0; sent < line.size();) {
-      if (!wait_for(to_.writer(), POLLOUT, deadline))
-        fail("did not read " + asked + " within " + seconds_text(timeout_s_) + " (environment.timeout_s)");
-      const ssize_t n = write(to_.writer(), line.data() + sent, line.size() - sent);
-      if (n >= 0)
-        sent += n;
-      else if (errno == EPIPE)
-        fail_ended(asked);
-      else if (errno != EAGAIN && errno != EINTR)
-        fail("cannot be written to: " + std::string(std::strerror(errno)));
-    }
+  void send(const std::string& asked, const std::string& line, MonotonicTime deadline) {
+    if (!process_->unread().empty()) fail("sent more than its answer: " + excerpt(process_->unread()));
+    const auto outcome = process_->write(line, deadline);
+    if (outcome == ChildProcess::Outcome::late)
+      fail("did not read " + asked + " within " + seconds_text(timeout_s_) + " (environment.timeout_s)");
+    if (outcome == ChildProcess::Outcome::ended) fail_ended(asked);
   }
-  std::string receive(const std::string& asked, Clock::time_point deadline) {
-    char block[65536];
-    while (true) {
-      if (const auto end = read_.find('\n'); end != std::string::npos) {
-        const std::string line = read_.substr(0, end);
-        read_.erase(0, end + 1);
-        return line;
-      }
-      if (read_.size() > longest_line_)
-        fail("answered " + asked + " with a line of more than " + std::to_string(longest_line_) + " bytes");
-      if (!wait_for(from_.reader(), POLLIN, deadline))
-        fail("did not answer " + asked + " within " + seconds_text(timeout_s_) + " (environment.timeout_s)");
-      const ssize_t n = read(from_.reader(), block, sizeof(block));
-      if (n > 0)
-        read_.append(block, n);
-      else if (n == 0)
-        fail_ended(asked);
-      else if (errno != EAGAIN && errno != EINTR)
-        fail("cannot be read from: " + std::string(std::strerror(errno)));
-    }
+  std::string receive(const std::string& asked, MonotonicTime deadline) {
+    std::string line;
+    const auto outcome = process_->read_line(line, deadline, longest_line_);
+    if (outcome == ChildProcess::Outcome::too_long)
+      fail("answered " + asked + " with a line of more than " + std::to_string(longest_line_) + " bytes");
+    if (outcome == ChildProcess::Outcome::late)
+      fail("did not answer " + asked + " within " + seconds_text(timeout_s_) + " (environment.timeout_s)");
+    if (outcome == ChildProcess::Outcome::ended) fail_ended(asked);
+    return line;
   }
   json parsed(const std::string& asked, const std::string& line) const {
     bool finite = true;
@@ -301,9 +161,7 @@ class ProcessEnvironment::Link {
   std::string name_;
   double timeout_s_;
   std::size_t longest_line_;
-  pid_t process_ = -1;
-  Pipe to_, from_;
-  std::string read_;  ///< text after the last line
+  std::optional<ChildProcess> process_;
   std::vector<std::string> warnings_;
 };
 

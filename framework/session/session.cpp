@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "loader/where.hpp"
 #include "session/estimate_chain.hpp"
 #include "weft/config.hpp"
 #include "weft/random.hpp"
@@ -190,6 +191,8 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
                                      .warm_start = warm_start,
                                      .round = number,
                                      .seed = seed});
+    const Step segment("segment", number + 1);
+    const Step execution("execution");
     const Vector control = round.plan.controls.row(0).transpose();
     const SegmentPath path = trajectory.segment(task.manipulation, state, control);
     timed([&] { environment.execute(path); });
@@ -224,8 +227,10 @@ SessionResult run_configured_session(const SessionParams& params, const ConfigNo
   SessionSetup setup = make_setup(params, origin, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
   const auto material = true_material_of(params);
-  const auto environment =
-      make_environment(params.environment, origin, setup.task, material, params.observation, seed, host);
+  const auto environment = [&] {
+    const Step step("making the environment");
+    return make_environment(params.environment, origin, setup.task, material, params.observation, seed, host);
+  }();
   setup.goal = make_goal(std::move(setup.goal), params.goal, setup.task, seed, material, host);
   return run_session(params, setup, *environment, host, progress);
 }

@@ -31,6 +31,10 @@ const std::map<std::string, std::string>& refusals() {
       {"no_mark", "weft_plugin_info does not start with 'weftplu'"},
       {"wrong_size", "weft_plugin_info has 32 bytes, this weft's has " + std::to_string(sizeof(WeftPluginInfo))},
       {"no_name", "has no name"},
+      {"bad_name", "is called 'a/b c', must be letters, digits, _ and -"},
+      {"bad_version", "has the version '1.0??[31m', must be letters, digits"},
+      {"wrong_type_size", "in it Variable has " + std::to_string(sizeof(Variable) + 8) + " bytes, in this weft " +
+                              std::to_string(sizeof(Variable)) + "; rebuild it"},
       {"not_a_library", "cannot be loaded as a shared library: "},
       {"empty", "cannot be loaded as a shared library: "},
       {"undefined_symbol", "undefined symbol: _Z24weft_nobody_defines_thisd"},

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <fstream>
+#include <map>
 #include <sstream>
 
 #include "conformance/conformance.hpp"
@@ -22,7 +23,7 @@ class Conformance : public testing::Test {
   }
   std::shared_ptr<const PluginRegistry> registry_ =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_TOYS});
-  std::unique_ptr<Host> host_ = make_host(registry_, HostOptions{1, 0, nullptr, nullptr});
+  std::unique_ptr<Host> host_ = make_host(registry_, HostOptions{.threads = 1, .checks = PluginChecks::results});
 };
 
 struct Kind : Conformance, testing::WithParamInterface<std::string> {};
@@ -67,6 +68,62 @@ TEST_F(Conformance, ATrajectoryThatReturnsNaNFailsItsLaw) {
   for (const auto& [mutation, law] : cases) {
     const auto r = check("trajectory", std::string("mutation: ") + mutation, {}, {law});
     EXPECT_FALSE(r.at(0).passed) << mutation << ", " << law << ": measured " << r.at(0).measured;
+  }
+}
+
+/// The results of each toy that can be spoilt, and how; see toy.hpp.
+const std::map<std::string, std::vector<std::pair<std::string, std::vector<std::string>>>>& spoilable() {
+  static const std::vector<std::string> any = {"nan", "empty", "long"}, number = {"nan"}, list = {"empty", "long"};
+  static const std::map<std::string, std::vector<std::pair<std::string, std::vector<std::string>>>> map = {
+      {"simulator",
+       {{"positions", any}, {"velocities", any}, {"grasped", list}, {"max_speed", number}, {"strain", number}}},
+      {"predictor",
+       {{"mean", any},
+        {"sigma", any},
+        {"shapes", list},
+        {"d_controls", any},
+        {"d_state", any},
+        {"d_shape", any},
+        {"d_centre", number},
+        {"d_width", number},
+        {"gradients", {"empty"}},
+        {"jvp_mean", any},
+        {"jvp_sigma", any},
+        {"control_range", any}}},
+      {"trajectory",
+       {{"initial_state", any},
+        {"advance", any},
+        {"d_state", any},
+        {"d_control", any},
+        {"targets", any},
+        {"targets_pullback", any},
+        {"progress", number},
+        {"decode", any},
+        {"decode_pullback", any},
+        {"encode", any},
+        {"lower", any},
+        {"upper", any},
+        {"decision_scale", any}}},
+      {"optimiser", {{"point", any}, {"x", any}, {"cost", number}, {"results", list}}}};
+  return map;
+}
+
+TEST_P(Kind, NoLawHoldsIfEveryResultIsSpoilt) {
+  for (const std::string declare : {"true", "false"}) {
+    for (const std::string how : {"nan", "empty", "long"}) {
+      for (const auto& r : check(GetParam(), "declare: " + declare + ", spoil: " + how))
+        EXPECT_FALSE(r.passed) << r.law << ", " << how << ", declare: " << declare << ": measured " << r.measured;
+    }
+  }
+}
+
+TEST_P(Kind, EverySpoiltResultFailsALaw) {
+  for (const auto& [result, ways] : spoilable().at(GetParam())) {
+    for (const auto& how : ways) {
+      const auto laws = check(GetParam(), "spoil: " + how + ", result: " + result);
+      const bool fails = std::any_of(laws.begin(), laws.end(), [](const LawResult& r) { return !r.passed; });
+      EXPECT_TRUE(fails) << result << ", " << how;
+    }
   }
 }
 

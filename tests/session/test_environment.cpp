@@ -195,7 +195,7 @@ TEST_F(Process, EveryFailureHasItsOwnMessage) {
   const std::string n = std::to_string(task_.garment->vertex_count());
   const std::pair<std::string, std::string> cases[] = {
       {"sys.exit(3)", "ended with exit code 3 before it answered observe"},
-      {"os.kill(os.getpid(), 9)", "was ended by signal 9 (Killed) before it answered observe"},
+      {"os.kill(os.getpid(), 9)", "was ended by SIGKILL (Killed) before it answered observe"},
       {"print('ready', flush=True)", "answered observe with 'ready', must be one line of JSON"},
       {"print('[1]', flush=True)", "answered observe with '[1]', must be an object with a type"},
       {"answer('executed')", "answered observe with type 'executed', must be 'observation'"},

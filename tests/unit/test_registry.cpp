@@ -151,6 +151,44 @@ TEST(Registry, ListIsSortedAndShowsEachNameOnce) {
   EXPECT_THAT(toys, ElementsAre("toy 2.0.0", "wrapper 1.0.0"));
 }
 
+TEST(Registry, WhatIsListedIsWhatIsTakenAndTheOthersAreItsShadows) {
+  const Folder folder;
+  fs::create_directories(folder / "a");
+  fs::create_directories(folder / "b");
+  const auto first = kToys / "first/libweft_trajectory_toy.so", second = kToys / "second/libweft_trajectory_toy.so",
+             odd = kToys / "odd_name/my_toy.so";
+  // In a folder the library named after its plugin goes first, whatever the others are called.
+  fs::copy_file(odd, folder / "a/a_toy.so");
+  fs::copy_file(first, folder / "a/libweft_trajectory_toy.so");
+  fs::copy_file(second, folder / "b/libweft_trajectory_toy.so");
+  const PluginRegistry plugins({folder / "a", folder / "b", folder / "a"});
+  const auto taken = plugins.find("toy");
+  EXPECT_EQ(taken.version, "1.0.0");
+  for (const auto& entry : plugins.list()) {
+    if (entry.name != "toy") continue;
+    EXPECT_EQ(entry.file, taken.file);
+    EXPECT_THAT(entry.shadows, ElementsAre(folder / "a/a_toy.so", folder / "b/libweft_trajectory_toy.so"));
+  }
+}
+
+TEST(Registry, ALibraryNamedAfterAnotherPluginIsRefused) {
+  const Folder folder;
+  fs::copy_file(kToys / "first/libweft_trajectory_toy.so", folder / "libweft_trajectory_other.so");
+  const PluginRegistry plugins({folder.path()});
+  EXPECT_THAT(message_of<PluginError>([&] { plugins.find("trajectory/other"); }),
+              HasSubstr("is named after trajectory/other, but WEFT_PLUGIN(...) in it says trajectory/toy"));
+  EXPECT_THAT(message_of<PluginError>([&] { plugins.find("trajectory/toy"); }), HasSubstr("is named after"));
+}
+
+TEST(Registry, NotFoundSaysWhichFoldersAreMissingAndWhatWasRefused) {
+  const Folder folder;
+  folder.write("broken.so", "no library");
+  const PluginRegistry plugins({folder.path(), "/nowhere"});
+  EXPECT_THAT(message_of<PluginError>([&] { plugins.find("brokn"); }),
+              AllOf(HasSubstr("/nowhere which is no folder"),
+                    HasSubstr((folder / "broken.so").string() + ": refused: cannot be loaded")));
+}
+
 TEST(Registry, AFolderThatIsNotThereIsEmpty) { EXPECT_NO_THROW(PluginRegistry({"/nowhere"}).list()); }
 
 TEST(Registry, ResolveFillsInDefaultsAndRefusesWhatIsWrong) {

@@ -39,11 +39,19 @@ class ToyOptimiser final : public Optimiser {
     const bool gradients = p_.declare;
     if (gradients && !objective.capabilities().gradients && !is("refuses_objectives_that_lack_what_it_needs"))
       throw Unsupported("toy: gradients are needed");
+    misbehave(p_);
     try {
       search(objective, starts, bounds, scale, options, observer, results);
     } catch (...) {
       if (!is("errors_of_the_objective_pass_through")) throw;
     }
+    for (auto& r : results) {
+      r.x = spoilt(p_, "x", r.x);
+      r.cost = spoilt(p_, "cost", r.cost);
+    }
+    if (spoils(p_, "empty", "results")) results.clear();
+    if (spoils(p_, "long", "results")) results.push_back({.x = starts.rowwise().mean()});
+    if (p_.fault == "x_out_of_bounds") results.front().x = bounds.upper + scale;
     return results;
   }
 
@@ -94,7 +102,7 @@ class ToyOptimiser final : public Optimiser {
         x.col(static_cast<Index>(j)) = propose(active[j], all[static_cast<std::size_t>(active[j])]);
       EvaluationRequest request;
       request.gradients = p_.declare;
-      const Evaluation e = objective.evaluate(x, active, request);
+      const Evaluation e = objective.evaluate(spoilt(p_, "point", x), active, request);
       for (std::size_t j = 0; j < active.size(); ++j) {
         const Index i = active[j];
         auto& it = all[static_cast<std::size_t>(i)];

@@ -155,6 +155,7 @@ class ToyPrediction final : public PlainPrediction {
           }
           if (is("short_jvp")) out.sigma = out.sigma.topRows(1).eval();
           if (is("nan_jvp")) out.mean(0, 0) = kNaN;
+          out = {spoilt(p_, "jvp_mean", out.mean), spoilt(p_, "jvp_sigma", out.sigma)};
           all[i].back().push_back(std::move(out));
         }
         if (is("jvp_without_shapes")) all[i].back().clear();
@@ -184,7 +185,15 @@ class ToyPrediction final : public PlainPrediction {
       // Only the requests of planning.
       if (is("nan_d_controls_of_means") && request_.moments == Moments::mean) g.controls(0, 0) = kNaN;
     }
+    for (auto& g : all) {
+      g.controls = spoilt(p_, "d_controls", g.controls);
+      if (g.state.size() > 0) g.state = spoilt(p_, "d_state", g.state);
+      if (g.shape.size() > 0) g.shape = spoilt(p_, "d_shape", g.shape);
+      if (spoils(p_, "nan", "d_centre")) g.centre.setConstant(kNaN);
+      if (spoils(p_, "nan", "d_width")) g.width.setConstant(kNaN);
+    }
     if (is("gradient_of_one_case")) all.resize(1);
+    if (spoils(p_, "empty", "gradients")) all.clear();
     return all;
   }
   Params p_;
@@ -222,7 +231,10 @@ class ToyPredictor final : public Predictor {
     f_.state_scale = scales(task.trajectory->state());
   }
 
-  std::optional<Box> control_range() const override { return p_.declare ? std::optional(range_) : std::nullopt; }
+  std::optional<Box> control_range() const override {
+    if (!p_.declare) return std::nullopt;
+    return Box{spoilt(p_, "control_range", range_.lower), spoilt(p_, "control_range", range_.upper)};
+  }
   std::optional<Index> max_segments() const override {
     return p_.declare ? std::optional(kMostSegments) : std::nullopt;
   }
@@ -232,6 +244,7 @@ class ToyPredictor final : public Predictor {
     if (!task_.garment && is("binding_comes_first"))
       return std::make_unique<ToyPrediction>(p_, f_, cases, request, Shapes());
     check(cases);
+    misbehave(p_);
     Shapes shapes;
     for (const auto& c : cases) {
       if (is("a_failed_case_costs_only_itself") && c.shape->cwiseAbs().maxCoeff() > 1e100)
@@ -252,12 +265,16 @@ class ToyPredictor final : public Predictor {
         if (is("nan_mean_of_means") && request.moments == Moments::mean && c.segments.size() > 1)
           shape.mean(0, 0) = kNaN;
         if (is("nan_sigma") && shape.sigma.rows() > 0) shape.sigma(0, 0) = kNaN;
+        shape.mean = spoilt(p_, "mean", shape.mean);
+        if (shape.sigma.rows() > 0) shape.sigma = spoilt(p_, "sigma", shape.sigma);
         shapes.back().push_back(std::move(shape));
       }
     }
     if (is("null_prediction")) return nullptr;
     if (is("one_result")) shapes.resize(1);
     if (is("missing_shapes")) shapes.back().clear();
+    if (spoils(p_, "empty", "shapes")) shapes.clear();
+    if (spoils(p_, "long", "shapes")) shapes.emplace_back();
     auto prediction = std::make_unique<ToyPrediction>(p_, f_, cases, request, std::move(shapes));
     if (is("predictions_live_side_by_side")) {
       const std::lock_guard lock(mutex_);

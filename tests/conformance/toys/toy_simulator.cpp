@@ -65,9 +65,15 @@ class ToySimulator final : public Simulator {
       if (is("grasp_moves_nothing")) s_.x(v, 2) += 1e-3;
     }
   }
-  std::vector<Index> grasped() const override { return s_.held; }
+  std::vector<Index> grasped() const override {
+    std::vector<Index> held = s_.held;
+    if (spoils(p_, "empty", "grasped")) held.clear();
+    if (spoils(p_, "long", "grasped")) held.push_back(0);
+    return held;
+  }
 
   void step(const Positions& targets) override {
+    misbehave(p_);
     require_shape("toy: targets", targets.rows(), static_cast<Index>(s_.held.size()));
     if (!targets.allFinite()) {
       if (is("refuses_nan")) return;
@@ -131,14 +137,19 @@ class ToySimulator final : public Simulator {
       calm = result.max_speed < criterion.speed ? calm + 1 : 0;
       result.settled = calm >= criterion.hold_frames;
     }
+    result.max_speed = spoilt(p_, "max_speed", result.max_speed);
     if (is("frames_are_counted")) s_.frame = before;
     return result;
   }
 
-  const Positions& positions() const override { return s_.x; }
-  const Positions& velocities() const override { return s_.v; }
+  const Positions& positions() const override { return shown("positions", s_.x, shown_x_); }
+  const Positions& velocities() const override { return shown("velocities", s_.v, shown_v_); }
   Index frame() const override { return s_.frame; }
-  SimulatorDiagnostics diagnostics() const override { return {}; }
+  SimulatorDiagnostics diagnostics() const override {
+    SimulatorDiagnostics result;
+    result.max_grasp_strain = spoilt(p_, "strain", 0.0);
+    return result;
+  }
 
   std::shared_ptr<const SimulatorSnapshot> save() const override {
     if (!p_.declare && !p_.accept) return Simulator::save();
@@ -172,6 +183,9 @@ class ToySimulator final : public Simulator {
   };
 
   bool is(const char* mutation) const { return p_.mutation == mutation; }
+  const Positions& shown(const char* result, const Positions& values, Positions& copy) const {
+    return p_.spoil == "none" ? values : copy = spoilt(p_, result, values);
+  }
   bool holds(Index v) const { return std::count(s_.held.begin(), s_.held.end(), v) > 0; }
 
   void fly(Index v, double dt) {
@@ -204,6 +218,7 @@ class ToySimulator final : public Simulator {
   Fabric fabric_;
   Scene scene_;
   State s_;
+  mutable Positions shown_x_, shown_v_;  // spoilt copies
 };
 
 }  // namespace weft::toy

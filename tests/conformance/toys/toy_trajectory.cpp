@@ -26,17 +26,18 @@ class ToyTrajectory final : public Trajectory {
 
   Vector initial_state(const Manipulation& m) const override {
     check(m);
-    return Vector::Zero(2);
+    return toy::spoilt(p_, "initial_state", Vector(Vector::Zero(2)));
   }
   Vector advance(const Manipulation& m, ConstVec state, ConstVec control) const override {
-    return spoilt("nan_advance", Trajectory::advance(m, state, control));
+    misbehave(p_);
+    return spoilt("nan_advance", toy::spoilt(p_, "advance", Trajectory::advance(m, state, control)));
   }
   void advance_pullback(const Manipulation& m, ConstVec state, ConstVec control, ConstVec d_next, Vector& d_state,
                         Vector& d_control) const override {
     Trajectory::advance_pullback(m, state, control, d_next, d_state, d_control);
     if (is("advance_pullback_is_exact")) d_control *= 1.01;
-    d_state = spoilt("nan_d_state", d_state);
-    d_control = spoilt("nan_d_control", d_control);
+    d_state = spoilt("nan_d_state", toy::spoilt(p_, "d_state", d_state));
+    d_control = spoilt("nan_d_control", toy::spoilt(p_, "d_control", d_control));
   }
 
   Positions targets(const Manipulation& m, ConstVec state) const override {
@@ -55,7 +56,7 @@ class ToyTrajectory final : public Trajectory {
     if (is("path_is_continuous") && s > 0.5) g(1, 2) += 0.1;
     if (is("never_below_contact_height") && s > 0.9) g(1, 2) = 0.5 * m.contact_height;
     if (is("same_bits_on_two_threads")) g.array() += 1e-13 * thread_ordinal();
-    return spoilt("nan_targets", g);
+    return spoilt("nan_targets", toy::spoilt(p_, "targets", g));
   }
   Vector targets_pullback(const Manipulation& m, ConstVec state, const Positions& d_targets) const override {
     check(m);
@@ -71,30 +72,34 @@ class ToyTrajectory final : public Trajectory {
                   (is("targets_pullback_is_exact") ? 0.0 : rise) * d_targets(i, 2);
       out[1] += d.x() * d_targets(i, 1) - d.y() * d_targets(i, 0);
     }
-    return spoilt("nan_targets_pullback", out);
+    return spoilt("nan_targets_pullback", toy::spoilt(p_, "targets_pullback", out));
   }
   double progress(ConstVec state) const override {
     require_shape("toy: state", state.size(), 2);
-    return is("nan_progress") ? kNaN : state[0];
+    return is("nan_progress") ? kNaN : toy::spoilt(p_, "progress", state[0]);
   }
 
   Controls decode(ConstVec x, Index horizon, ConstVec state) const override {
-    return spoilt("nan_decode", Trajectory::decode(x, horizon, state));
+    return spoilt("nan_decode", toy::spoilt(p_, "decode", Trajectory::decode(x, horizon, state)));
   }
   Vector decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const override {
     if (is("refuses_bad_shapes")) return Eigen::Map<const Vector>(d_controls.data(), d_controls.size());
     Vector d = Trajectory::decode_pullback(x, horizon, state, d_controls);
     if (is("decode_pullback_is_exact")) d *= -1.0;
-    return spoilt("nan_decode_pullback", d);
+    return spoilt("nan_decode_pullback", toy::spoilt(p_, "decode_pullback", d));
   }
   Vector encode(const Controls& controls, ConstVec state) const override {
     const Vector x = Trajectory::encode(controls, state);
-    return spoilt("nan_encode", Vector((is("decode_encode_round_trip") ? 0.999 : 1.0) * x));
+    const double factor = is("decode_encode_round_trip") ? 0.999 : 1.0;
+    return spoilt("nan_encode", toy::spoilt(p_, "encode", Vector(factor * x)));
   }
   Box decision_bounds(Index horizon) const override {
     Box box = Trajectory::decision_bounds(horizon);
     if (is("decision_box_is_sound")) box.upper.array() += 1.0;
-    return box;
+    return {toy::spoilt(p_, "lower", box.lower), toy::spoilt(p_, "upper", box.upper)};
+  }
+  Vector decision_scale(Index horizon) const override {
+    return toy::spoilt(p_, "decision_scale", Trajectory::decision_scale(horizon));
   }
 
  private:

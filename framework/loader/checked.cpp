@@ -1,0 +1,30 @@
+#include "loader/checked.hpp"
+
+#include "weft/optimiser.hpp"
+#include "weft/predictor.hpp"
+#include "weft/simulator.hpp"
+#include "weft/trajectory.hpp"
+
+namespace weft {
+namespace {
+
+template <class Interface>
+std::shared_ptr<void> checked_as(const std::string& name, std::shared_ptr<void> plugin, PluginChecks checks) {
+  auto* const object = static_cast<Interface*>(plugin.get());
+  std::shared_ptr<Interface> guarded = checked(name, std::shared_ptr<Interface>(std::move(plugin), object), checks);
+  auto* const interface = guarded.get();
+  return {std::move(guarded), interface};
+}
+
+}  // namespace
+
+std::shared_ptr<void> checked(const std::string& kind, const std::string& name, std::shared_ptr<void> plugin,
+                              PluginChecks checks) {
+  if (checks == PluginChecks::none) return plugin;
+  if (kind == Simulator::kKind) return checked_as<Simulator>(name, std::move(plugin), checks);
+  if (kind == Predictor::kKind) return checked_as<Predictor>(name, std::move(plugin), checks);
+  if (kind == Trajectory::kKind) return checked_as<Trajectory>(name, std::move(plugin), checks);
+  return checked_as<Optimiser>(name, std::move(plugin), checks);
+}
+
+}  // namespace weft
