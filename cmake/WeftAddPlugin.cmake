@@ -1,12 +1,16 @@
 # weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
-#                 [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
+#                 [VERSION 1.0.0] [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
 # Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
 # `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
+# NAME, KIND and, if given, VERSION must be those of WEFT_PLUGIN; the compiler says so when they differ.
 # Where nobody has chosen a build type it becomes Release: without optimisation the laws of a simulator take minutes.
 function(weft_add_plugin name)
-  cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;MARCH;CONFORMANCE;OUTPUT_DIRECTORY" "SOURCES;LIBRARIES" ${ARGN})
+  cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;VERSION;MARCH;CONFORMANCE;OUTPUT_DIRECTORY" "SOURCES;LIBRARIES" ${ARGN})
   if(NOT ARG_KIND MATCHES "^(simulator|predictor|trajectory|optimiser)$")
     message(FATAL_ERROR "weft_add_plugin(${name}): KIND is '${ARG_KIND}', must be simulator, predictor, trajectory or optimiser")
+  endif()
+  if(NOT name MATCHES "^[A-Za-z0-9_-]+$")
+    message(FATAL_ERROR "weft_add_plugin(${name}): the name must be letters, digits, _ and -")
   endif()
   if(NOT ARG_OUTPUT_DIRECTORY)
     set(ARG_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/${CMAKE_INSTALL_LIBDIR}/weft/plugins)
@@ -21,6 +25,8 @@ function(weft_add_plugin name)
   set_property(GLOBAL APPEND PROPERTY WEFT_PLUGIN_TARGETS ${target})
   target_link_libraries(${target} PRIVATE weft::framework ${ARG_LIBRARIES})
   target_compile_features(${target} PRIVATE cxx_std_20)
+  target_compile_definitions(${target} PRIVATE
+    WEFT_PLUGIN_KIND="${ARG_KIND}" WEFT_PLUGIN_NAME="${name}" WEFT_PLUGIN_VERSION="${ARG_VERSION}")
   set_target_properties(${target} PROPERTIES
     PREFIX "lib" OUTPUT_NAME ${target} CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON
     LIBRARY_OUTPUT_DIRECTORY ${ARG_OUTPUT_DIRECTORY})

@@ -52,7 +52,7 @@ int check(const Context& context, const Arguments& arguments) {
   ConfigNode tolerances = file.empty() ? ConfigNode() : ConfigNode::load(file);
   for (const auto& assignment : context.overrides) tolerances = apply_override(tolerances, assignment);
 
-  const auto host = context.host(registry, context.seed.value_or(0));
+  const auto host = context.host(registry, context.seed.value_or(0), true);
   const ConfigNode slot = ConfigNode::mapping({{"plugin", ConfigNode::quoted(entry.file.string())}});
   const auto results = check_conformance(*host, entry.kind, slot, tolerances, arguments.laws);
   int failures = 0;

@@ -34,7 +34,8 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
   return kept.emplace_back(std::make_shared<PluginRegistry>(std::move(folders)));
 }
 
-std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed) const {
+std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed,
+                                    bool raw_plugins) const {
   std::signal(SIGINT, [](int) {
     interrupted = true;
     std::signal(SIGINT, SIG_DFL);  // a second ^C ends the program at once
@@ -43,6 +44,7 @@ std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugin
   options.threads = jobs;
   options.seed = host_seed;
   options.cancel = &interrupted;
+  options.raw_plugins = raw_plugins;
   options.log = [this](LogLevel level, const std::string& message) {
     if (level == LogLevel::debug || (level == LogLevel::info && (quiet || json))) return;
     const char* prefix = level == LogLevel::warning ? "warning: " : level == LogLevel::error ? "error: " : "";

@@ -28,7 +28,9 @@ struct Context {
   ConfigNode load(const std::string& file) const;
   /// Registry over `plugin_path` of the config, the environment and the default folders.
   std::shared_ptr<const PluginRegistry> registry(const ConfigNode& config = {}) const;
-  std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed) const;
+  /// @param raw_plugins as HostOptions::raw_plugins.
+  std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed,
+                             bool raw_plugins = false) const;
   /// Set when the user asks to stop, after host() was called.
   const std::atomic<bool>* cancel_flag() const;
   /// Prints a line for people; nothing with --quiet or --json.

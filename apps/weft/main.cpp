@@ -4,6 +4,7 @@
 #include <exception>
 
 #include "commands.hpp"
+#include "loader/where.hpp"
 #include "processes/crash_report.hpp"
 #include "weft/config.hpp"
 #include "weft_commit.hpp"
@@ -59,7 +60,7 @@ int main(int argc, char** argv) {
     }
     return app.exit(error) == 0 ? 0 : 2;
   }
-  install_crash_report(STDERR_FILENO, nullptr);
+  install_crash_report(STDERR_FILENO, write_where);
   try {
     const CrashWatch watch;
     return context.action();

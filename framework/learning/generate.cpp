@@ -6,6 +6,7 @@
 #include <mutex>
 
 #include "learning/dataset_files.hpp"
+#include "loader/where.hpp"
 #include "sdk/fingerprint.hpp"
 #include "simulation/fold.hpp"
 
@@ -40,6 +41,7 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
 
 Example make_example(Simulator& simulator, const Task& task, const DataParams& params, std::uint64_t seed,
                      std::int64_t index) {
+  const Step step("example", index);
   const RandomStream streams(seed, 0x6578616d706c65ull, static_cast<std::uint64_t>(index));
   Example example;
   example.index = index;

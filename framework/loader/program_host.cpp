@@ -6,7 +6,9 @@
 #include <thread>
 #include <vector>
 
+#include "loader/checked.hpp"
 #include "loader/program_host.hpp"
+#include "loader/where.hpp"
 #include "processes/crash_report.hpp"
 
 namespace weft {
@@ -29,7 +31,7 @@ class ThreadPool {
   }
 
   void run(std::int64_t count, const std::function<void(std::int64_t)>& body) {
-    Loop loop{count, &body};
+    Loop loop{count, &body, Where::here()};
     // Nested or concurrent loops run on their caller's thread. This avoids deadlock, and the outer loop already keeps
     // the threads busy. (inside_ is checked first, since a nested caller may hold busy_ itself.)
     std::unique_lock<std::mutex> busy;
@@ -56,16 +58,18 @@ class ThreadPool {
   struct Loop {
     std::int64_t count;
     const std::function<void(std::int64_t)>* body;
+    const Where* caller;
     std::atomic<std::int64_t> next{0};
-    std::mutex mutex;
+    std::mutex mutex{};
     std::int64_t failed = -1;
-    std::exception_ptr error;
+    std::exception_ptr error{};
   };
 
   // Every iteration runs even after one failed, so that the reported error does not depend on timing.
   static void share(Loop& loop) {
     const bool was_inside = inside_;
     inside_ = true;
+    const OnBehalfOf caller(loop.caller);
     for (std::int64_t i = loop.next++; i < loop.count; i = loop.next++) {
       try {
         (*loop.body)(i);
@@ -140,7 +144,8 @@ class ProgramHost final : public Host {
 
  protected:
   std::shared_ptr<void> create_erased(const std::string& kind, const ConfigNode& slot) override {
-    return registry_->create(kind, slot, *this);
+    auto [object, entry] = registry_->create(kind, slot, *this);
+    return options_.raw_plugins ? std::move(object) : checked(kind, entry.name, std::move(object));
   }
 
  private:

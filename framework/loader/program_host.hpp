@@ -15,6 +15,9 @@ struct HostOptions {
   std::uint64_t seed = 0;
   std::function<void(LogLevel, const std::string&)> log;  ///< null: silent
   const std::atomic<bool>* cancel = nullptr;              ///< set by a signal handler
+  /// Plugins' objects are handed out as they are, without checks of what they return (checked.hpp): for conformance and
+  /// for tests of a plugin.
+  bool raw_plugins = false;
 };
 /// The host for all plugins of the program. Must outlive them.
 std::unique_ptr<Host> make_host(std::shared_ptr<const PluginRegistry> registry, const HostOptions& options);

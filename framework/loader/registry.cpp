@@ -9,9 +9,10 @@
 #include <cstring>
 #include <map>
 #include <mutex>
-#include <set>
+#include <optional>
 #include <sstream>
 
+#include "loader/where.hpp"
 #include "processes/crash_report.hpp"
 #include "sdk/files.hpp"
 #include "weft/config.hpp"
@@ -40,12 +41,47 @@ bool is_file_name(const std::string& name) {
 
 std::string text_of(const char* chars, std::size_t size) { return std::string(chars, strnlen(chars, size)); }
 
-int interface_version(const std::string& kind) {
-  if (kind == Simulator::kKind) return Simulator::kVersion;
-  if (kind == Predictor::kKind) return Predictor::kVersion;
-  if (kind == Trajectory::kKind) return Trajectory::kVersion;
-  if (kind == Optimiser::kKind) return Optimiser::kVersion;
-  return -1;
+/// What a plugin of some kind must agree on with this weft.
+struct KindInfo {
+  int version;
+  std::vector<TypeSize> crossing;
+};
+template <class Interface>
+KindInfo kind_info() {
+  constexpr auto types = crossing_types<Interface>();
+  return {Interface::kVersion, {types.begin(), types.end()}};
+}
+std::optional<KindInfo> info_of(const std::string& kind) {
+  if (kind == Simulator::kKind) return kind_info<Simulator>();
+  if (kind == Predictor::kKind) return kind_info<Predictor>();
+  if (kind == Trajectory::kKind) return kind_info<Trajectory>();
+  if (kind == Optimiser::kKind) return kind_info<Optimiser>();
+  return std::nullopt;
+}
+
+/// The kind and name in libweft_KIND_NAME.so, the file that weft_add_plugin() makes; two empty strings for all others.
+std::pair<std::string, std::string> named_by(const fs::path& file) {
+  const std::string stem = file.stem().string();
+  for (const std::string kind : kKinds) {
+    const std::string prefix = "libweft_" + kind + "_";
+    if (stem.starts_with(prefix) && stem.size() > prefix.size()) return {kind, stem.substr(prefix.size())};
+  }
+  return {};
+}
+
+/// Letters, digits and `more`, at least one of them. Independent of the locale.
+bool is_made_of(const std::string& text, const std::string& more) {
+  return !text.empty() && std::all_of(text.begin(), text.end(), [&](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+           more.find(c) != std::string::npos;
+  });
+}
+
+/// The bytes of a text that may be anything, for a message.
+std::string printable(std::string text) {
+  for (char& c : text)
+    if (c < ' ' || c > '~') c = '?';
+  return text;
 }
 
 /// Size of an exported object in its library's symbol table; 0 if unknown.
@@ -73,6 +109,8 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   library->entry.file = file;
   std::string detail;
   try {
+    const std::string name = "library " + file.string();
+    const PluginCall entry(name.c_str(), "loading");
     library->handle.load(boost::filesystem::path(file.string()), dll::load_mode::rtld_now | dll::load_mode::rtld_local);
   } catch (const std::exception& failure) {
     detail = failure.what();
@@ -99,31 +137,61 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
            "', this weft is '" WEFT_ABI_TAG
            "'; build it with weft_add_plugin() and the same compiler, Eigen and alignment");
   }
-  library->entry.kind = text_of(info.kind, sizeof(info.kind));
-  library->entry.name = text_of(info.name, sizeof(info.name));
-  library->entry.version = text_of(info.version, sizeof(info.version));
-  const int ours = interface_version(library->entry.kind);
-  if (ours < 0) {
-    refuse("is of kind '" + library->entry.kind + "', must be simulator, predictor, trajectory or optimiser");
+  auto& entry = library->entry;
+  entry.kind = text_of(info.kind, sizeof(info.kind));
+  entry.name = text_of(info.name, sizeof(info.name));
+  entry.version = text_of(info.version, sizeof(info.version));
+  const auto ours = info_of(entry.kind);
+  if (!ours) {
+    refuse("is of kind '" + printable(entry.kind) + "', must be simulator, predictor, trajectory or optimiser");
   }
-  if (info.interface_version != ours) {
-    refuse("has interface version " + std::to_string(info.interface_version) + " of " + library->entry.kind +
-           ", this weft has " + std::to_string(ours) +
+  if (info.interface_version != ours->version) {
+    refuse("has interface version " + std::to_string(info.interface_version) + " of " + entry.kind +
+           ", this weft has " + std::to_string(ours->version) +
            "; rebuild it with this weft's headers (MIGRATION.md says what changed)");
   }
-  if (library->entry.name.empty()) refuse("has no name");
-  announce_plugin(library->entry.kind + " " + library->entry.name, &info);
+  for (std::size_t i = 0; i < ours->crossing.size(); ++i) {
+    const auto& [type, bytes] = ours->crossing[i];
+    if (info.sizes[i] != bytes) {
+      refuse("in it " + std::string(type) + " has " + std::to_string(info.sizes[i]) + " bytes, in this weft " +
+             std::to_string(bytes) + "; rebuild it with this weft's headers and the options of weft_add_plugin()");
+    }
+  }
+  if (entry.name.empty()) refuse("has no name");
+  if (!is_made_of(entry.name, "_-")) {
+    refuse("is called '" + printable(entry.name) + "', must be letters, digits, _ and -; change WEFT_PLUGIN(...)");
+  }
+  if (!is_made_of(entry.version, "._+-")) {
+    refuse("has the version '" + printable(entry.version) +
+           "', must be letters, digits, '.', '_', '+' and '-', such as 1.0.0; change WEFT_PLUGIN(...)");
+  }
+  if (const auto [kind, name] = named_by(file); !kind.empty() && (kind != entry.kind || name != entry.name)) {
+    refuse("is named after " + kind + "/" + name + ", but WEFT_PLUGIN(...) in it says " + entry.kind + "/" +
+           entry.name + "; give weft_add_plugin() and WEFT_PLUGIN the same kind and name");
+  }
+  announce_plugin(entry.kind + " " + entry.name, &info);
   return library;
 }
 
-std::vector<fs::path> libraries_in(const fs::path& folder) {
-  std::vector<fs::path> files;
+struct Candidate {
+  fs::path file;
+  std::string kind, name;  ///< by the file's name; empty: only the library itself knows
+};
+
+/// The libraries of a folder in the order in which they are searched: those of weft_add_plugin() first, whose names say
+/// what they are, so that looking for one need not load the others.
+std::vector<Candidate> candidates_in(const fs::path& folder) {
+  std::vector<Candidate> candidates;
   std::error_code error;
   for (const auto& item : fs::directory_iterator(folder, error)) {
-    if (item.path().extension() == ".so") files.push_back(item.path());
+    if (item.path().extension() != ".so") continue;
+    auto [kind, name] = named_by(item.path());
+    candidates.push_back({item.path(), std::move(kind), std::move(name)});
   }
-  std::sort(files.begin(), files.end());
-  return files;
+  std::sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
+    return std::pair(a.kind.empty(), a.file) < std::pair(b.kind.empty(), b.file);
+  });
+  return candidates;
 }
 
 }  // namespace
@@ -150,41 +218,63 @@ struct PluginRegistry::Impl {
     }
   }
 
-  std::shared_ptr<const Library> find(const std::string& wanted_kind, const std::string& name) const {
-    std::string refusal;
-    const auto fits = [&](const fs::path& file, bool named_so) -> std::shared_ptr<const Library> {
-      try {
-        const auto found = library(file);
-        if (found->entry.name == name && (wanted_kind.empty() || found->entry.kind == wanted_kind)) return found;
-      } catch (const PluginError& error) {
-        if (named_so) refusal = error.what();
-      }
-      return nullptr;
-    };
-    // weft_add_plugin() names a library after its plugin. A library with the name of another plugin is loaded only if
-    // no other library fits, because loading can be slow.
-    std::vector<fs::path> named_after_others;
+  /// Every library on the search path that may be of this kind and name (empty: any), in the order of the search. The
+  /// first one that is wins. This one order decides what run, describe and plugins take. Refused ones are passed on too.
+  template <class Each>
+  void search(const std::string& kind, const std::string& name, Each&& each) const {
     for (const auto& folder : search_path) {
-      for (const char* kind : kKinds) {
-        if (!wanted_kind.empty() && wanted_kind != kind) continue;
-        const fs::path file = folder / ("libweft_" + std::string(kind) + "_" + name + ".so");
-        std::error_code ignored;
-        if (!fs::exists(file, ignored)) continue;
-        if (const auto found = fits(file, true)) return found;
-      }
-      for (const auto& file : libraries_in(folder)) {
-        if (file.filename().string().starts_with("libweft_")) {
-          named_after_others.push_back(file);
-        } else if (const auto found = fits(file, false)) {
-          return found;
+      for (const auto& candidate : candidates_in(folder)) {
+        if (!candidate.kind.empty() && !name.empty() && candidate.name != name) continue;
+        if (!candidate.kind.empty() && !kind.empty() && candidate.kind != kind) continue;
+        std::shared_ptr<const Library> found;
+        std::string refusal;
+        try {
+          found = library(candidate.file);
+        } catch (const PluginError& error) {
+          refusal = error.what();
         }
+        const bool fits =
+            !found || ((name.empty() || found->entry.name == name) && (kind.empty() || found->entry.kind == kind));
+        if (fits && !each(found, candidate.file, refusal)) return;
       }
     }
-    for (const auto& file : named_after_others) {
-      if (const auto found = fits(file, false)) return found;
+  }
+
+  /// Why nothing of this kind (empty: any) and name was found.
+  std::string not_found(const std::string& kind, const std::string& name) const {
+    std::vector<std::string> known, refusals;
+    search(kind, "", [&](const auto& found, const fs::path&, const std::string& refusal) {
+      if (found)
+        known.push_back(found->entry.name);
+      else
+        refusals.push_back(refusal);
+      return true;
+    });
+    std::string searched, refused;
+    for (const auto& folder : search_path) {
+      std::error_code ignored;
+      searched += (searched.empty() ? "" : ", ") + folder.string() +
+                  (fs::is_directory(folder, ignored) ? "" : " which is no folder");
     }
-    if (!refusal.empty()) throw PluginError(refusal);
-    return nullptr;
+    constexpr std::size_t most = 3;  // the others are in `weft plugins`
+    for (std::size_t i = 0; i < std::min(most, refusals.size()); ++i) refused += "; " + refusals[i];
+    if (refusals.size() > most)
+      refused += "; " + std::to_string(refusals.size() - most) + " more were refused, `weft plugins` says why";
+    return "no " + (kind.empty() ? "plugin" : kind + " plugin") + " is called '" + name + "'" +
+           nearest_hint(name, known) + " (searched " + searched + ")" + refused;
+  }
+
+  std::shared_ptr<const Library> find(const std::string& kind, const std::string& name) const {
+    std::shared_ptr<const Library> winner;
+    std::string refusal;
+    search(kind, name, [&](const auto& found, const fs::path& file, const std::string& why) {
+      winner = found;
+      if (!found && refusal.empty() && named_by(file).second == name) refusal = why;
+      return !found;
+    });
+    if (!winner && !refusal.empty()) throw PluginError(refusal);
+    if (!winner) throw PluginError(not_found(kind, name));
+    return winner;
   }
 };
 
@@ -207,25 +297,23 @@ std::vector<fs::path> PluginRegistry::default_search_path() {
 }
 
 std::vector<PluginEntry> PluginRegistry::list() const {
-  std::vector<PluginEntry> good, bad;
-  std::set<std::string> seen;
-  for (const auto& folder : impl_->search_path) {
-    for (const auto& file : libraries_in(folder)) {
-      try {
-        const auto& entry = impl_->library(file)->entry;
-        if (seen.insert(entry.kind + "/" + entry.name).second) good.push_back(entry);
-      } catch (const PluginError& error) {
-        PluginEntry entry;
-        entry.file = file;
-        entry.refusal = error.what();
-        bad.push_back(entry);
-      }
+  std::map<std::pair<std::string, std::string>, PluginEntry> good;
+  std::vector<PluginEntry> entries, bad;
+  impl_->search("", "", [&](const auto& found, const fs::path& file, const std::string& refusal) {
+    if (!found) {
+      bad.emplace_back();
+      bad.back().file = file;
+      bad.back().refusal = refusal;
+      return true;
     }
-  }
-  std::sort(good.begin(), good.end(),
-            [](const auto& a, const auto& b) { return std::tie(a.kind, a.name) < std::tie(b.kind, b.name); });
-  good.insert(good.end(), bad.begin(), bad.end());
-  return good;
+    const auto [winner, is_new] = good.try_emplace({found->entry.kind, found->entry.name}, found->entry);
+    std::error_code ignored;
+    if (!is_new && !fs::equivalent(winner->second.file, file, ignored)) winner->second.shadows.push_back(file);
+    return true;
+  });
+  for (auto& [key, entry] : good) entries.push_back(std::move(entry));
+  entries.insert(entries.end(), bad.begin(), bad.end());
+  return entries;
 }
 
 PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::string& kind) const {
@@ -250,15 +338,7 @@ PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::str
     name = name.substr(slash + 1);
     require_kind(wanted_kind);
   }
-  if (const auto found = impl_->find(wanted_kind, name)) return found->entry;
-  std::vector<std::string> known;
-  std::string searched;
-  for (const auto& entry : list()) {
-    if (entry.refusal.empty() && (wanted_kind.empty() || entry.kind == wanted_kind)) known.push_back(entry.name);
-  }
-  for (const auto& folder : impl_->search_path) searched += (searched.empty() ? "" : ", ") + folder.string();
-  throw PluginError("no " + (wanted_kind.empty() ? "plugin" : wanted_kind + " plugin") + " is called '" + name + "'" +
-                    nearest_hint(name, known) + " (searched " + searched + ")");
+  return impl_->find(wanted_kind, name)->entry;
 }
 
 namespace {
@@ -372,18 +452,27 @@ std::vector<ConfigNode> PluginRegistry::files(const std::string& kind, const Con
   return files(place(slot, "params"), params(look_up(kind, slot).second));
 }
 
-std::shared_ptr<void> PluginRegistry::create(const std::string& kind, const ConfigNode& slot, Host& host) const {
+std::pair<std::shared_ptr<void>, PluginEntry> PluginRegistry::create(const std::string& kind, const ConfigNode& slot,
+                                                                     Host& host) const {
   const ConfigNode resolved = resolve(kind, slot);
   const auto library = impl_->library(find(resolved.at("plugin").as_string(), kind).file);
   const ConfigNode params = resolved.at("params");
+  const std::string label = kind + " " + library->entry.name;
   void* object = nullptr;
-  guarded(*library, "creating",
-          [&] { object = library->handle.get<CreateFunction>("weft_plugin_create")(&host, &params); });
+  {
+    const PluginCall entry(label.c_str(), "its constructor");
+    guarded(*library, "creating",
+            [&] { object = library->handle.get<CreateFunction>("weft_plugin_create")(&host, &params); });
+  }
   if (object == nullptr) {
     throw PluginError(library->entry.file.string() + ": creating " + library->entry.name +
                       " failed: it returned nothing");
   }
-  return {object, [library](void* dying) { library->handle.get<DestroyFunction>("weft_plugin_destroy")(dying); }};
+  const auto destroy = [library, label](void* dying) {
+    const PluginCall entry(label.c_str(), "its destructor");
+    library->handle.get<DestroyFunction>("weft_plugin_destroy")(dying);
+  };
+  return {std::shared_ptr<void>(object, destroy), library->entry};
 }
 
 std::vector<PluginEntry> PluginRegistry::used() const {

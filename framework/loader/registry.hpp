@@ -14,11 +14,12 @@ namespace weft {
 struct PluginEntry {
   std::filesystem::path file;
   std::string kind, name, version;
-  std::string refusal;  ///< empty: it loads
+  std::string refusal;                         ///< empty: it loads
+  std::vector<std::filesystem::path> shadows;  ///< from list(): libraries of this kind and name that are never taken
 };
 
 /// Finds plugins in the `plugin_path` of the config, then in WEFT_PLUGIN_PATH, then in the build or install folder. The
-/// first library of a kind and name wins. A library stays loaded while one of its objects or this registry lives.
+/// first library of a kind and name wins: in a folder libweft_KIND_NAME.so, then those of other names. A library stays loaded while one of its objects or this registry lives.
 /// Thread-safe.
 class PluginRegistry {
  public:
@@ -26,10 +27,11 @@ class PluginRegistry {
   ~PluginRegistry();
   static std::vector<std::filesystem::path> default_search_path();
 
-  /// Everything on the search path, sorted by kind and name; refused libraries last.
+  /// Everything on the search path, sorted by kind and name; refused libraries last. Each entry is what find() takes.
   std::vector<PluginEntry> list() const;
   /// The entry of a name ("arc" or "trajectory/arc") or of a library file.
-  /// @throws PluginError with the nearest name, or with both sides of a refusal and the remedy.
+  /// @throws PluginError with the nearest name, the folders searched and what was refused in them, or with both sides of
+  /// a refusal and the remedy.
   PluginEntry find(const std::string& name_or_file, const std::string& kind = "") const;
   std::vector<ParamInfo> params(const PluginEntry& entry) const;
 
@@ -42,8 +44,9 @@ class PluginRegistry {
   std::vector<ConfigNode> files(const ConfigNode& config, const std::vector<ParamInfo>& params) const;
   /// The same for a slot: {plugin: NAME, params: {...}}, or a bare NAME.
   std::vector<ConfigNode> files(const std::string& kind, const ConfigNode& slot) const;
-  /// The object's deleter keeps the library loaded.
-  std::shared_ptr<void> create(const std::string& kind, const ConfigNode& slot, Host& host) const;
+  /// The object, whose deleter keeps the library loaded, and where it came from.
+  std::pair<std::shared_ptr<void>, PluginEntry> create(const std::string& kind, const ConfigNode& slot,
+                                                       Host& host) const;
   /// Names and versions of every plugin that a resolved config uses.
   std::vector<PluginEntry> used() const;
 

@@ -6,6 +6,7 @@
 #include <limits>
 #include <numbers>
 
+#include "loader/where.hpp"
 #include "session/instance_rows.hpp"
 #include "session/jvp.hpp"
 
@@ -357,6 +358,8 @@ Estimator::Estimator(const Task& task, std::shared_ptr<const Predictor> predicto
 }
 
 Estimate Estimator::estimate(const EstimateRequest& request) const {
+  const Step segment("segment", request.round + 1);
+  const Step estimation("estimation");
   const auto started = std::chrono::steady_clock::now();
   require_shape("estimation: start", request.start->rows(), task_.garment->vertex_count());
   require_shape("estimation: observations", request.observations.size(), request.controls.rows());

@@ -1,5 +1,6 @@
 #include "session/goal.hpp"
 
+#include "loader/where.hpp"
 #include "simulation/fold.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"
@@ -85,6 +86,7 @@ SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const 
 
 SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& task, std::uint64_t seed,
                       const std::optional<MaterialProperties>& true_material, Host& host) {
+  const Step step("making the goal");
   const auto& trajectory = *task.trajectory;
   SessionGoal goal = std::move(given);
   std::optional<MaterialProperties> chosen;

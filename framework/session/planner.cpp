@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "loader/where.hpp"
 #include "session/instance_rows.hpp"
 #include "session/jvp.hpp"
 #include "weft/config.hpp"
@@ -346,6 +347,8 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
 }
 
 Plan Planner::plan(const PlanRequest& request) const {
+  const Step segment("segment", request.round + 1);
+  const Step planning("planning");
   const auto started = std::chrono::steady_clock::now();
   const auto elapsed = [&] {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "loader/where.hpp"
 #include "session/estimate_chain.hpp"
 #include "weft/config.hpp"
 #include "weft/random.hpp"
@@ -190,6 +191,8 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
                                      .warm_start = warm_start,
                                      .round = number,
                                      .seed = seed});
+    const Step segment("segment", number + 1);
+    const Step execution("execution");
     const Vector control = round.plan.controls.row(0).transpose();
     const SegmentPath path = trajectory.segment(task.manipulation, state, control);
     timed([&] { environment.execute(path); });

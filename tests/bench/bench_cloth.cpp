@@ -30,7 +30,7 @@ const Task& task_of(std::int64_t edge_um) {
   static std::map<std::int64_t, Task> tasks;
   static const auto registry =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
-  static const auto host = make_host(registry, HostOptions{1, 0, nullptr, nullptr});
+  static const auto host = make_host(registry, HostOptions{.threads = 1, .raw_plugins = true});
   const auto found = tasks.find(edge_um);
   if (found != tasks.end()) return found->second;
   const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold.yaml");
@@ -55,7 +55,7 @@ const Task& task_of(std::int64_t edge_um) {
 std::shared_ptr<Simulator> make_simulator() {
   static const auto registry =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
-  static const auto host = make_host(registry, HostOptions{1, 0, nullptr, nullptr});
+  static const auto host = make_host(registry, HostOptions{.threads = 1, .raw_plugins = true});
   return host->create<Simulator>(ConfigNode::parse("{plugin: cloth}", "bench"));
 }
 

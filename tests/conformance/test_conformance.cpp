@@ -22,7 +22,7 @@ class Conformance : public testing::Test {
   }
   std::shared_ptr<const PluginRegistry> registry_ =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_TOYS});
-  std::unique_ptr<Host> host_ = make_host(registry_, HostOptions{1, 0, nullptr, nullptr});
+  std::unique_ptr<Host> host_ = make_host(registry_, HostOptions{.threads = 1, .raw_plugins = true});
 };
 
 struct Kind : Conformance, testing::WithParamInterface<std::string> {};

@@ -18,7 +18,7 @@ namespace {
 std::shared_ptr<Host> test_host() {
   const auto registry =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
-  return make_host(registry, HostOptions{1, 0, nullptr, nullptr});
+  return make_host(registry, HostOptions{.threads = 1, .raw_plugins = true});
 }
 
 ConfigNode slot(const std::string& params = "") {

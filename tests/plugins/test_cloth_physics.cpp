@@ -15,7 +15,7 @@ namespace {
 void check(const std::string& which, const ConfigNode& with) {
   const auto registry =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
-  const auto host = make_host(registry, HostOptions{1, 0, nullptr, nullptr});
+  const auto host = make_host(registry, HostOptions{.threads = 1, .raw_plugins = true});
   const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/experiments/physics.yaml");
   std::shared_ptr<const Task> task;
   if (which == "garment crease" || which == "folds" || which == "paired folds" || which == "properties") {
@@ -59,7 +59,7 @@ TEST_P(ScaledPhysics, IsWithinTheSameBounds) {
 TEST(Drape, TowelThatCrumplesOnTheGroundNeverPassesThroughItself) {
   const auto registry =
       std::make_shared<PluginRegistry>(std::vector<std::filesystem::path>{WEFT_BINARY_DIR "/lib/weft/plugins"});
-  const auto host = make_host(registry, HostOptions{1, 0, nullptr, nullptr});
+  const auto host = make_host(registry, HostOptions{.threads = 1, .raw_plugins = true});
   const SceneRun run = read_scene(ConfigNode::load(WEFT_SOURCE_DIR "/configs/experiments/scenes/drape.yaml"));
   run_scene(run, *host, [&](const Simulator& simulator, Index frame) {
     EXPECT_EQ(count_intersections(simulator.positions(), run.garment->faces), 0) << "frame " << frame;

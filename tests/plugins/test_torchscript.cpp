@@ -106,7 +106,7 @@ std::shared_ptr<const PluginRegistry> registry() {
 
 class TorchScript : public ::testing::Test {
  protected:
-  TorchScript() : host_(make_host(registry(), {.threads = 1})) {
+  TorchScript() : host_(make_host(registry(), {.threads = 1, .raw_plugins = true})) {
     const ConfigNode node = ConfigNode::parse("{" + kTask + "}", "test");
     TaskParams params;
     read_params(node, params);
@@ -133,7 +133,7 @@ class TorchScript : public ::testing::Test {
     return predictor;
   }
   void expect_laws() const {
-    const auto host = make_host(registry(), {.threads = 2});
+    const auto host = make_host(registry(), {.threads = 2, .raw_plugins = true});
     for (const std::string batch : {"true", "false"}) {
       const std::string params = "params: {batch: " + batch + ", module: '" + (folder_ / "m.pt").string() + "'}\n";
       const auto settings = ConfigNode::parse(params + "task: {" + kTask + "}", "test");
@@ -317,7 +317,9 @@ TEST_F(TorchScript, RefusesRangesAndNormalisationsThatDoNotFit) {
 TEST_F(TorchScript, ComparesTheMaterialSpace) {
   save_module(folder_ / "m.pt", kForward);
   std::vector<std::string> log;
-  host_ = make_host(registry(), {.threads = 1, .log = [&](LogLevel, const std::string& text) { log.push_back(text); }});
+  host_ = make_host(
+      registry(),
+      {.threads = 1, .log = [&](LogLevel, const std::string& text) { log.push_back(text); }, .raw_plugins = true});
   const std::string basic = ConfigNode::load(WEFT_SOURCE_DIR "/configs/fabrics/basic.yaml").to_json();
   write_metadata("material: " + basic + "\n");
   bound();

@@ -5,6 +5,7 @@
 
 #include "experiments/physics/closed_forms.hpp"
 #include "experiments/physics/folds.hpp"
+#include "loader/where.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -51,6 +52,7 @@ SimulatorVariant simulator_variant(std::string name, Host& host, const ConfigNod
 
 std::vector<PhysicsRow> run_physics_case(const PhysicsCase& physics_case,
                                          const std::vector<SimulatorVariant>& variants) {
+  const Step step(physics_case.test.c_str());
   try {
     return physics_case.run(variants);
   } catch (const std::exception& error) {

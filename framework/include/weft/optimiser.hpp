@@ -86,6 +86,15 @@ class WEFT_API Optimiser {
  public:
   static constexpr const char* kKind = "optimiser";
   static constexpr int kVersion = 2;  // bump on any change to this class or the types above
+  static constexpr TypeSize kCrossing[] = {{"ObjectiveCapabilities", sizeof(ObjectiveCapabilities)},
+                                           {"EvaluationRequest", sizeof(EvaluationRequest)},
+                                           {"Evaluation", sizeof(Evaluation)},
+                                           {"OptimiserOptions", sizeof(OptimiserOptions)},
+                                           {"OptimiserResult", sizeof(OptimiserResult)},
+                                           {"OptimiserObserver", sizeof(OptimiserObserver)},
+                                           {"OptimiserCapabilities", sizeof(OptimiserCapabilities)},
+                                           {"Box", sizeof(Box)},
+                                           {"ConstMatrix", sizeof(ConstMatrix)}};
   virtual ~Optimiser() = default;
 
   virtual OptimiserCapabilities capabilities() const = 0;

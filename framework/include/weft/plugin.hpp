@@ -1,8 +1,11 @@
 #pragma once
 #include <Eigen/Core>
+#include <array>
+#include <string_view>
 
 #include "weft/host.hpp"
 #include "weft/params.hpp"
+#include "weft/types.hpp"
 
 namespace weft {
 
@@ -14,14 +17,39 @@ extern "C" struct WeftPluginInfo {
   char name[64];
   char version[32];
   int interface_version;
+  unsigned sizes[24];  ///< bytes of crossing_types(), in their order; then zeros
 };
 
-// Everything two libraries must agree on before they exchange C++ objects.
+// Everything two libraries must agree on before they exchange C++ objects, besides crossing_types().
 #define WEFT_STRINGIFY_(x) #x
 #define WEFT_STRINGIFY(x) WEFT_STRINGIFY_(x)
-#define WEFT_ABI_TAG                                                                                                           \
-  "weft2 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI) " eigen" WEFT_STRINGIFY( \
-      EIGEN_WORLD_VERSION) "." WEFT_STRINGIFY(EIGEN_MAJOR_VERSION) "." WEFT_STRINGIFY(EIGEN_MINOR_VERSION) " align" WEFT_STRINGIFY(EIGEN_MAX_ALIGN_BYTES)
+#ifdef _GLIBCXX_DEBUG
+#define WEFT_DEBUG_TAG " glibcxx_debug"
+#else
+#define WEFT_DEBUG_TAG ""
+#endif
+#ifdef EIGEN_DEFAULT_TO_ROW_MAJOR
+#define WEFT_ORDER_TAG " row_major"
+#else
+#define WEFT_ORDER_TAG ""
+#endif
+#define WEFT_EIGEN_VERSION_TAG \
+  WEFT_STRINGIFY(EIGEN_WORLD_VERSION) "." WEFT_STRINGIFY(EIGEN_MAJOR_VERSION) "." WEFT_STRINGIFY(EIGEN_MINOR_VERSION)
+#define WEFT_EIGEN_TAG                                                                                    \
+  " eigen" WEFT_EIGEN_VERSION_TAG                                                                         \
+  " align" WEFT_STRINGIFY(EIGEN_MAX_ALIGN_BYTES) " index " WEFT_STRINGIFY(EIGEN_DEFAULT_DENSE_INDEX_TYPE) \
+      WEFT_ORDER_TAG
+#define WEFT_CXX_TAG "weft3 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI)
+#define WEFT_ABI_TAG WEFT_CXX_TAG WEFT_EIGEN_TAG WEFT_DEBUG_TAG
+
+/// The types that a plugin of this interface exchanges with the program, and their sizes here.
+template <class Interface>
+constexpr auto crossing_types() {
+  std::array<TypeSize, 3 + std::size(Interface::kCrossing)> types{
+      {{"Host", sizeof(Host)}, {"ConfigNode", sizeof(ConfigNode)}, {Interface::kKind, sizeof(Interface)}}};
+  for (std::size_t i = 3; i < types.size(); ++i) types[i] = Interface::kCrossing[i - 3];
+  return types;
+}
 
 /// Copies `text` into a fixed char array of the info. Text that is too long does not compile.
 template <std::size_t N, std::size_t M>
@@ -39,6 +67,9 @@ constexpr WeftPluginInfo make_plugin_info(const char (&name)[N], const char (&ve
   copy_info_text(info.name, name);
   copy_info_text(info.version, version);
   info.interface_version = Interface::kVersion;
+  constexpr auto types = crossing_types<Interface>();
+  static_assert(types.size() < std::size(info.sizes));
+  for (std::size_t i = 0; i < types.size(); ++i) info.sizes[i] = static_cast<unsigned>(types[i].bytes);
   return info;
 }
 
@@ -55,9 +86,23 @@ Interface* create_plugin(Host& host, const ConfigNode& params_node) {
 
 }  // namespace weft
 
+#ifdef WEFT_PLUGIN_KIND  // by weft_add_plugin()
+#define WEFT_CHECK_PLUGIN_(Interface, name, version)                                                               \
+  static_assert(std::string_view(Interface::kKind) == WEFT_PLUGIN_KIND,                                            \
+                "WEFT_PLUGIN has another kind than weft_add_plugin(... KIND " WEFT_PLUGIN_KIND ")");               \
+  static_assert(std::string_view(name) == WEFT_PLUGIN_NAME,                                                        \
+                "WEFT_PLUGIN has another name than weft_add_plugin(" WEFT_PLUGIN_NAME " ...)");                    \
+  static_assert(std::string_view(WEFT_PLUGIN_VERSION).empty() || std::string_view(version) == WEFT_PLUGIN_VERSION, \
+                "WEFT_PLUGIN has another version than weft_add_plugin(... VERSION " WEFT_PLUGIN_VERSION ")");
+#else
+#define WEFT_CHECK_PLUGIN_(Interface, name, version)
+#endif
+
 /// Exports one plugin from a library: WEFT_PLUGIN(weft::Trajectory, my::Line, my::Params, "line", "1.0.0").
-/// The create and visit functions may throw weft::Error; the loader catches.
+/// The create and visit functions may throw weft::Error; the loader catches. In a library of weft_add_plugin(), kind,
+/// name and, if given, version are those of weft_add_plugin().
 #define WEFT_PLUGIN(Interface, Impl, Params, name, version)                                              \
+  WEFT_CHECK_PLUGIN_(Interface, name, version)                                                           \
   extern "C" WEFT_API const ::weft::WeftPluginInfo weft_plugin_info =                                    \
       ::weft::make_plugin_info<Interface>(name, version);                                                \
   extern "C" WEFT_API void* weft_plugin_create(::weft::Host* host, const ::weft::ConfigNode* params) {   \

@@ -113,6 +113,14 @@ class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
   static constexpr int kVersion = 6;  // bump on any change to this class, the types above or trainable.hpp
+  static constexpr TypeSize kCrossing[] = {{"Task", sizeof(Task)},
+                                           {"PredictionCase", sizeof(PredictionCase)},
+                                           {"PredictionRequest", sizeof(PredictionRequest)},
+                                           {"ShapeDistribution", sizeof(ShapeDistribution)},
+                                           {"ShapeCotangent", sizeof(ShapeCotangent)},
+                                           {"CaseGradient", sizeof(CaseGradient)},
+                                           {"CaseDirection", sizeof(CaseDirection)},
+                                           {"PredictorCapabilities", sizeof(PredictorCapabilities)}};
   virtual ~Predictor() = default;
 
   virtual PredictorCapabilities capabilities() const = 0;

@@ -69,6 +69,14 @@ class WEFT_API Simulator {
  public:
   static constexpr const char* kKind = "simulator";
   static constexpr int kVersion = 2;  // bump on any change to this file
+  static constexpr TypeSize kCrossing[] = {{"Garment", sizeof(Garment)},
+                                           {"Fabric", sizeof(Fabric)},
+                                           {"Scene", sizeof(Scene)},
+                                           {"SettleCriterion", sizeof(SettleCriterion)},
+                                           {"SettleResult", sizeof(SettleResult)},
+                                           {"SimulatorDiagnostics", sizeof(SimulatorDiagnostics)},
+                                           {"SimulatorCapabilities", sizeof(SimulatorCapabilities)},
+                                           {"Positions", sizeof(Positions)}};
   virtual ~Simulator() = default;
 
   virtual SimulatorCapabilities capabilities() const = 0;

@@ -36,6 +36,9 @@ class WEFT_API Trajectory {
  public:
   static constexpr const char* kKind = "trajectory";
   static constexpr int kVersion = 2;  // bump on any change to this class
+  static constexpr TypeSize kCrossing[] = {{"Variable", sizeof(Variable)},         {"SegmentPath", sizeof(SegmentPath)},
+                                           {"Manipulation", sizeof(Manipulation)}, {"Box", sizeof(Box)},
+                                           {"Controls", sizeof(Controls)},         {"ConstVec", sizeof(ConstVec)}};
   virtual ~Trajectory() = default;
 
   virtual std::vector<Variable> controls() const = 0;  ///< C >= 1 entries

@@ -26,6 +26,12 @@ using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::R
 /// m_i of eq. 1: [k, C], one row per segment. The arc has C = 5 per-frame deltas, constant within a segment.
 using Controls = RowMatrix;
 
+/// The size of a type that crosses an interface. The loader compares the sizes of a plugin with those of the program.
+struct TypeSize {
+  const char* type;
+  std::size_t bytes;
+};
+
 /// Length of a simulation frame, s.
 inline constexpr double kFrameSeconds = 1.0 / 60.0;
 /// Frames per segment: the control update interval of the paper, section 2.1.
