@@ -1,5 +1,7 @@
 #include "context.hpp"
 
+#include <unistd.h>
+
 #include <atomic>
 #include <csignal>
 #include <cstdio>
@@ -13,6 +15,14 @@ namespace {
 
 std::atomic<bool> interrupted = false;  // set in a signal handler: must be lock-free
 static_assert(std::atomic<bool>::is_always_lock_free);
+
+/// Answers at once: what is being done may take a while to end.
+void stop(int) {
+  constexpr char kAnswer[] = "stopping; ^C or SIGTERM once more ends weft at once\n";
+  interrupted = true;
+  [[maybe_unused]] const auto written = write(STDERR_FILENO, kAnswer, sizeof(kAnswer) - 1);
+  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, SIG_DFL);
+}
 
 }  // namespace
 
@@ -36,10 +46,7 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
 
 std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed,
                                     bool raw_plugins) const {
-  std::signal(SIGINT, [](int) {
-    interrupted = true;
-    std::signal(SIGINT, SIG_DFL);  // a second ^C ends the program at once
-  });
+  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, stop);
   HostOptions options;
   options.threads = jobs;
   options.seed = host_seed;
@@ -58,6 +65,10 @@ const std::atomic<bool>* Context::cancel_flag() const { return &interrupted; }
 
 void Context::say(const std::string& line) const {
   if (!quiet && !json) std::cout << line << std::endl;
+}
+
+void Context::complain(const std::string& line) const {
+  if (!quiet) std::fprintf(stderr, "%s\n", line.c_str());
 }
 
 std::shared_ptr<const PluginRegistry> registry_of_overrides(const Context& context) {

@@ -35,6 +35,8 @@ struct Context {
   const std::atomic<bool>* cancel_flag() const;
   /// Prints a line for people; nothing with --quiet or --json.
   void say(const std::string& line) const;
+  /// Prints a line about a failure to stderr; nothing with --quiet.
+  void complain(const std::string& line) const;
 };
 
 /// Adds --set, --seed, --out, --jobs, --quiet and --json to a subcommand.

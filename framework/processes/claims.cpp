@@ -252,4 +252,21 @@ std::string Claims::this_machine() {
   return (boot.empty() ? kUnknown : boot) + "/" + space;
 }
 
+Leftovers::Leftovers(const fs::path& folder) {
+  std::error_code none;
+  for (const auto& entry : fs::directory_iterator(folder, none)) {
+    const std::string name = entry.path().filename().string();
+    if (const auto end = name.rfind(".tmp"); end != std::string::npos)
+      by_name_[name.substr(0, end)].push_back(entry.path());
+  }
+}
+
+void Leftovers::remove(const fs::path& file) {
+  const auto found = by_name_.find(file.filename().string());
+  if (found == by_name_.end()) return;
+  std::error_code ignored;
+  for (const auto& one : found->second) fs::remove(one, ignored);
+  by_name_.erase(found);
+}
+
 }  // namespace weft

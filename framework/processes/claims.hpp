@@ -1,8 +1,10 @@
 #pragma once
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 /// Several processes, on one or several machines with one file system, share the work of a folder.
 namespace weft {
@@ -43,6 +45,19 @@ class Claims {
  private:
   struct State;
   std::unique_ptr<State> state_;
+};
+
+/// Temporary files, FILE.tmp..., that were in a folder before this process began: killed processes left them, or another
+/// process is about to rename them.
+class Leftovers {
+ public:
+  /// @param folder need not exist.
+  explicit Leftovers(const std::filesystem::path& folder);
+  /// Removes those of a file. Call it with a claim on the work that makes the file: then no other process writes them.
+  void remove(const std::filesystem::path& file);
+
+ private:
+  std::map<std::string, std::vector<std::filesystem::path>> by_name_;
 };
 
 }  // namespace weft

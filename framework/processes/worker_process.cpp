@@ -33,6 +33,8 @@ std::string last_words(const std::string& errors) {
   return "; its last words: " + line;
 }
 
+constexpr const char* kCancelled = "cancelled";  // in the place of an answer
+
 std::atomic<bool>* cancel_of_server = nullptr;
 
 }  // namespace
@@ -86,6 +88,22 @@ struct WorkerProcess::State {
   }
 };
 
+WorkLimits work_limits(double cell_limit_s, double slowest) {
+  constexpr double kTimesSlowest = 20.0, kLeast = 600.0;
+  WorkLimits limits;
+  if (cell_limit_s > 0.0)
+    limits.cpu_s = cell_limit_s;
+  else if (slowest > 0.0)
+    limits.cpu_s = std::max(kLeast, kTimesSlowest * slowest);
+  return limits;
+}
+
+void SlowestUnit::add(double cpu_seconds) {
+  constexpr double kTooFastToMeasure = 1e-3;
+  cpu_seconds = std::max(cpu_seconds, kTooFastToMeasure);
+  for (double known = slowest_; cpu_seconds > known && !slowest_.compare_exchange_weak(known, cpu_seconds);) continue;
+}
+
 WorkerProcess::WorkerProcess(std::vector<std::string> command)
     : state_(std::make_unique<State>(State{std::move(command), nullptr})) {}
 
@@ -97,6 +115,18 @@ WorkerProcess::~WorkerProcess() {
 
 WorkEnd WorkerProcess::run(const std::string& request, const std::function<WorkLimits()>& limits,
                            const std::function<bool()>& cancelled) {
+  WorkEnd end;
+  for (int attempt = 1; attempt <= kMostAttempts; ++attempt) {
+    end = run_once(request, limits, cancelled);
+    if (end.kind != WorkEnd::Kind::lost) return end;
+    if (cancelled()) return {WorkEnd::Kind::cancelled, ""};
+  }
+  end.text += "; so it went " + std::to_string(kMostAttempts) + " times";
+  return end;
+}
+
+WorkEnd WorkerProcess::run_once(const std::string& request, const std::function<WorkLimits()>& limits,
+                                const std::function<bool()>& cancelled) {
   State& s = *state_;
   if (s.child == nullptr)
     s.child =
@@ -111,6 +141,7 @@ WorkEnd WorkerProcess::run(const std::string& request, const std::function<WorkL
   while (true) {
     switch (s.child->read_line(line, seconds_from_now(kLook))) {
       case ChildProcess::Outcome::done:
+        if (line == kCancelled) return {WorkEnd::Kind::lost, "its process was told from outside to stop"};
         return {WorkEnd::Kind::answered, line, watch.used()};
       case ChildProcess::Outcome::ended:
       case ChildProcess::Outcome::too_long:
@@ -136,6 +167,7 @@ void serve_work(const std::function<std::string(const std::string& request)>& an
   for (std::string request; std::getline(std::cin, request);) {
     cancelled = false;
     std::string line = answer(request) + "\n";
+    if (cancelled) line = std::string(kCancelled) + "\n";
     for (std::size_t sent = 0; sent < line.size();) {
       const ssize_t n = write(out, line.data() + sent, line.size() - sent);
       if (n < 0 && errno != EINTR) return;  // the parent is gone
