@@ -3,12 +3,14 @@
 
 #include "commands.hpp"
 #include "experiments/ablation.hpp"
+#include "experiments/cell_work.hpp"
 #include "experiments/cells.hpp"
 #include "experiments/physics/physics.hpp"
 #include "output.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
+#include "work_options.hpp"
 
 namespace weft::app {
 namespace {
@@ -50,7 +52,7 @@ ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginR
   }
 }
 
-int ablate(const Context& context, const std::string& file) {
+int ablate(const Context& context, const std::string& file, const WorkOptions& work) {
   ConfigNode config = ConfigNode::load(file);
   for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
   const AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
@@ -71,6 +73,10 @@ int ablate(const Context& context, const std::string& file) {
   options.registry = registry;
   options.cancel = context.cancel_flag();
   options.runner = plan.measure == "physics" ? run_physics_cell : run_session_cell;
+  CellWork cells;
+  cells.kind = plan.measure == "physics" ? "physics" : "session";
+  options.request = [&](const ConfigNode& cell) { return cell_request(cells, cell, *registry); };
+  work.apply(options);
   options.progress = [&](const SweepRow& row, std::size_t done, std::size_t total) {
     std::ostringstream line;
     line << done << '/' << total << "  " << plan.arms[row.arm].name << ", "
@@ -86,7 +92,8 @@ int ablate(const Context& context, const std::string& file) {
       std::snprintf(text, sizeof text, "%.1f mm, plans %.1f s", row.metric("error_mm"), row.metric("plan_seconds"));
       line << text;
     } else {
-      line << "failed: " << row.failure;
+      context.complain(line.str() + failure_text(row));
+      return;
     }
     context.say(line.str());
   };
@@ -102,9 +109,7 @@ int ablate(const Context& context, const std::string& file) {
   for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));
   write_page(context, folder);
   context.say("results in " + folder.string());
-  const bool complete = rows.size() == plan.cells();
-  if (!complete) context.say("interrupted; run the same command again to finish it");
-  return complete ? 0 : 1;
+  return sweep_exit_code(context, {rows}, plan.cells());
 }
 
 }  // namespace
@@ -115,7 +120,10 @@ void register_ablate(CLI::App& app, Context& context) {
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Ablation file, such as configs/experiments/optimisers.yaml")->required();
-  command->callback([&context, file] { context.action = [&context, file] { return ablate(context, *file); }; });
+  auto work = std::make_shared<WorkOptions>();
+  add_work_options(*command, "cell", *work);
+  command->callback(
+      [&context, file, work] { context.action = [&context, file, work] { return ablate(context, *file, *work); }; });
 }
 
 }  // namespace weft::app

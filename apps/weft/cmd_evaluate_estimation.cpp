@@ -27,8 +27,7 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
   context.say(estimation_evaluation_table(json));
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
-  if (!evaluation.complete) context.say("interrupted; run the same command again to finish it");
-  return evaluation.complete ? 0 : 1;
+  return evaluation.exit_code(columns);
 }
 
 }  // namespace

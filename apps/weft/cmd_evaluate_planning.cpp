@@ -30,8 +30,7 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   for (const auto& column : columns) context.say(planning_evaluation_table(column));
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
-  if (!evaluation.complete) context.say("interrupted; run the same command again to finish it");
-  return evaluation.complete ? 0 : 1;
+  return evaluation.exit_code(columns);
 }
 
 }  // namespace

@@ -2,13 +2,16 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
+#include "experiments/cell_work.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "sdk/located_config.hpp"
 #include "simulation/task_config.hpp"
+#include "work_options.hpp"
 
 namespace weft::app {
 namespace {
@@ -58,7 +61,18 @@ DatasetHeader continued(const DatasetHeader& header, const ConfigNode& saved, co
   return same;
 }
 
-int generate(Context& context, const std::string& file, std::int64_t examples, const std::string& shard) {
+/// What child processes need to make examples.
+std::function<std::string(std::int64_t)> example_requests(const Prepared<ExperimentParams>& given) {
+  std::string request = nlohmann::ordered_json{{"kind", "example"},
+                                               {"config", located_json(given.config)},
+                                               {"plugin_path", searched_folders(*given.registry)}}
+                            .dump(-1, ' ', true, nlohmann::ordered_json::error_handler_t::replace);
+  request.back() = ',';  // the closing brace comes after the index
+  return [request](std::int64_t index) { return request + "\"index\":" + std::to_string(index) + "}"; };
+}
+
+int generate(Context& context, const std::string& file, std::int64_t examples, const std::string& shard,
+             const WorkOptions& work) {
   GenerateOptions options;
   options.examples = examples;
   if (!shard.empty()) parse_shard(shard, options);
@@ -87,14 +101,22 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
     std::snprintf(line, sizeof(line), "%6lld of %lld  %.2f examples/s  %.0f s to go  %lld failed",
                   static_cast<long long>(report.made), static_cast<long long>(total), rate,
                   static_cast<double>(total - report.made) / std::max(1e-9, rate),
-                  static_cast<long long>(report.failed));
+                  static_cast<long long>(report.failed()));
     context.say(line);
+  };
+  options.worker = work.worker();
+  options.request = example_requests(given);
+  options.retry = work.retry();
+  options.fail_fast = work.fail_fast;
+  options.cell_limit_s = work.cell_limit_s;
+  options.failed = [&](std::int64_t index, const WorkFailure& failure) {
+    context.complain("example " + std::to_string(index) + " " + to_string(failure.status) + ": " + failure.message);
   };
   const GenerateReport report = generate_dataset(given.task, given.params.data, header, options, *given.host, progress);
   const double rate = report.seconds > 0 ? static_cast<double>(report.made) / report.seconds : 0.0;
   if (context.json) {
     context.output() << nlohmann::ordered_json{{"made", report.made},         {"kept", report.kept},
-                                               {"failed", report.failed},     {"files", report.files},
+                                               {"failed", report.failed()},   {"files", report.files},
                                                {"seconds", report.seconds},   {"examples_per_s", rate},
                                                {"identity", header.identity}, {"cancelled", report.cancelled}}
                             .dump(2)
@@ -104,10 +126,12 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   std::snprintf(line, sizeof(line),
                 "%lld examples made in %.1f s (%.2f examples/s, %d threads), %lld kept, %lld failed",
                 static_cast<long long>(report.made), report.seconds, rate, given.host->threads(),
-                static_cast<long long>(report.kept), static_cast<long long>(report.failed));
+                static_cast<long long>(report.kept), static_cast<long long>(report.failed()));
   context.say(line);
   if (report.cancelled) context.say("stopped; run the same command again to make the rest");
-  return report.cancelled ? 1 : 0;
+  if (!report.acceptable())
+    warn_of_failures(report.failures, static_cast<std::size_t>(report.made + report.kept), "examples");
+  return report.cancelled || !report.acceptable() ? 1 : 0;
 }
 
 }  // namespace
@@ -123,8 +147,12 @@ void register_generate(CLI::App& app, Context& context) {
       ->required()
       ->check(within(std::int64_t{1}, std::int64_t{1000000000}));
   command->add_option("--shard", *shard, "i/n: make only the i-th of n parts, for many machines");
-  command->callback([&context, file, examples, shard] {
-    context.action = [&context, file, examples, shard] { return generate(context, *file, *examples, *shard); };
+  auto work = std::make_shared<WorkOptions>();
+  add_work_options(*command, "example", *work);
+  command->callback([&context, file, examples, shard, work] {
+    context.action = [&context, file, examples, shard, work] {
+      return generate(context, *file, *examples, *shard, *work);
+    };
   });
 }
 

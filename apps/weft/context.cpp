@@ -21,6 +21,14 @@ std::atomic<bool> interrupted = false;  // set in a signal handler: must be lock
 static_assert(std::atomic<bool>::is_always_lock_free);
 std::ostream* kept_output = nullptr;  // null: stdout as it is
 
+/// Answers at once: what is being done may take a while to end.
+void stop(int) {
+  constexpr char kAnswer[] = "stopping; ^C or SIGTERM once more ends weft at once\n";
+  interrupted = true;
+  [[maybe_unused]] const auto written = write(STDERR_FILENO, kAnswer, sizeof(kAnswer) - 1);
+  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, SIG_DFL);
+}
+
 }  // namespace
 
 ConfigNode Context::load(const std::string& file) const {
@@ -43,10 +51,7 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
 
 std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed,
                                     PluginChecks checks) const {
-  std::signal(SIGINT, [](int) {
-    interrupted = true;
-    std::signal(SIGINT, SIG_DFL);  // a second ^C ends the program at once
-  });
+  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, stop);
   HostOptions options;
   options.threads = jobs;
   options.seed = host_seed;
@@ -80,6 +85,10 @@ void Context::keep_output() {
 }
 
 std::ostream& Context::output() { return kept_output != nullptr ? *kept_output : std::cout; }
+
+void Context::complain(const std::string& line) const {
+  if (!quiet) std::fprintf(stderr, "%s\n", line.c_str());
+}
 
 std::shared_ptr<const PluginRegistry> registry_of_overrides(const Context& context) {
   ConfigNode config;

@@ -40,6 +40,8 @@ struct Context {
   static void keep_output();
   /// Where a command writes its result, such as JSON.
   static std::ostream& output();
+  /// Prints a line about a failure to stderr; nothing with --quiet.
+  void complain(const std::string& line) const;
 };
 
 /// Adds --set, --seed, --out, --jobs, --quiet and --json to a subcommand.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "experiments/cell_work.hpp"
 #include "learning/dataset_files.hpp"
 #include "options.hpp"
 #include "simulation/task_config.hpp"
@@ -19,10 +20,14 @@ void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
   command.add_option("--cases", options.cases, "Cases per column")
       ->check(within(std::int64_t{1}, std::int64_t{100000}));
   command.add_option("--data", options.data, "Folder of examples, for cases that are not fresh");
+  add_work_options(command, "cell", options.work);
 }
 
 EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name)
-    : given(context, options.file), context_(context), options_(options) {
+    : given(context, options.file),
+      context_(context),
+      options_(options),
+      kind_(name == "evaluate-planning" ? "planning" : "estimation") {
   require_distinct("--goals", options.goals);
   const auto& params = given.params;
   const auto& task = given.task;
@@ -43,9 +48,9 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
 std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, const MakeRunner& make_runner,
                                                  const std::function<std::string(const SweepRow&)>& line) {
   std::shared_ptr<const Dataset> dataset;
+  std::filesystem::path folder;
   if (std::any_of(options_.goals.begin(), options_.goals.end(), [](const auto& source) { return source != "fresh"; })) {
-    const std::filesystem::path folder =
-        options_.data.empty() ? given.params.dataset : std::filesystem::path(options_.data);
+    folder = options_.data.empty() ? given.params.dataset : std::filesystem::path(options_.data);
     if (folder.empty())
       throw ConfigError("cases of a split need a dataset: --data FOLDER (or `dataset:` in the config)");
     context_.say("reading " + folder.string());
@@ -67,17 +72,32 @@ std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, cons
     cells.registry = given.registry;
     cells.cancel = context_.cancel_flag();
     cells.runner = make_runner(column.cases, cells.folder);
+    const CellWork work{kind_, cells.folder, place(given.config, "data"), column.cases, folder};
+    cells.request = [&](const ConfigNode& cell) { return cell_request(work, cell, *given.registry); };
+    options_.work.apply(cells);
     cells.progress = [&](const SweepRow& row, std::size_t done, std::size_t total) {
-      context_.say(std::to_string(done) + "/" + std::to_string(total) + "  " + column.plan.arms[row.arm].name +
-                   ", seed " + std::to_string(row.seed) + ": " +
-                   (row.failure.empty() ? line(row) : "failed: " + row.failure));
+      const std::string text = std::to_string(done) + "/" + std::to_string(total) + "  " +
+                               column.plan.arms[row.arm].name + ", seed " + std::to_string(row.seed) + ": ";
+      if (row.failure.empty())
+        context_.say(text + line(row));
+      else
+        context_.complain(text + failure_text(row));
     };
     context_.say(column.plan.description + ": " + std::to_string(column.plan.arms.size()) + " x " +
                  std::to_string(column.plan.seeds.size()) + " runs, " + std::to_string(cells.jobs) + " at a time");
     column.rows = run_sweep(column.plan, cells);
-    complete = complete && column.rows.size() == column.plan.cells();
   }
   return columns;
+}
+
+int EvaluationRun::exit_code(const std::vector<EvaluationColumn>& columns) const {
+  std::vector<std::vector<SweepRow>> sweeps;
+  std::size_t cells = 0;
+  for (const auto& column : columns) {
+    sweeps.push_back(column.rows);
+    cells += column.plan.cells();
+  }
+  return sweep_exit_code(context_, sweeps, cells);
 }
 
 }  // namespace weft::app

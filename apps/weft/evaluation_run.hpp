@@ -6,6 +6,7 @@
 #include "experiments/cases.hpp"
 #include "experiments/experiment_config.hpp"
 #include "prepared.hpp"
+#include "work_options.hpp"
 
 namespace weft::app {
 
@@ -15,6 +16,7 @@ struct EvaluationOptions {
   std::string data;
   std::vector<std::string> goals = {"fresh"};
   std::int64_t cases = 50;
+  WorkOptions work;
 };
 void add_evaluation_options(CLI::App& command, EvaluationOptions& options);
 
@@ -33,13 +35,15 @@ class EvaluationRun {
   Prepared<ExperimentParams> given;
   ConfigNode session;  ///< config of the cells
   std::filesystem::path out;
-  bool complete = true;
 
+  /// Says what is missing or failed. @return the command's exit code.
+  int exit_code(const std::vector<EvaluationColumn>& columns) const;
   std::filesystem::path source_folder(const std::string& source) const { return out / source; }
 
  private:
   Context& context_;
   EvaluationOptions options_;
+  std::string kind_;  ///< of CellWork
   std::shared_ptr<Predictor> predictor_;
 };
 

@@ -17,7 +17,7 @@ std::string unknown_command(const CLI::App& app) {
   while (!innermost->get_subcommands().empty()) innermost = innermost->get_subcommands().front();
   std::vector<std::string> known;
   for (const CLI::App* command : innermost->get_subcommands([](const CLI::App*) { return true; }))
-    known.push_back(command->get_name());
+    if (!command->get_group().empty()) known.push_back(command->get_name());
   const std::vector<std::string> rest = innermost->remaining();
   if (known.empty() || rest.empty() || rest.front().starts_with("-")) return "";
   return "'" + rest.front() + "' is not a command of weft" + (innermost == &app ? "" : " " + innermost->get_name()) +
@@ -51,6 +51,7 @@ int main(int argc, char** argv) {
   register_plugins(app, context);
   register_describe(app, context);
   register_new(app, context);
+  register_worker(app, context);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -261,7 +261,7 @@ std::string ablation_csv(const AblationPlan& plan, const std::vector<SweepRow>& 
     for (const auto& level : plan.arms[row.arm].levels) text += csv_field(level) + ",";
     text += std::to_string(row.seed) + ",";
     if (!plan.cases.empty()) text += csv_field(plan.cases.at(row.seed)) + ",";
-    text += (row.failure.empty() ? "done" : "failed");
+    text += to_string(row.status);
     for (const auto& name : names) text += "," + csv_number(row.metric(name));
     text += "," + csv_field(row.failure) + "\n";
   }
@@ -285,7 +285,7 @@ std::string ablation_json(const AblationPlan& plan, const std::vector<SweepRow>&
       if (row.failure.empty())
         ++done;
       else
-        failures.push_back({{"seed", row.seed}, {"failure", row.failure}});
+        failures.push_back({{"seed", row.seed}, {"status", to_string(row.status)}, {"failure", row.failure}});
     }
     for (const auto& name : names) {
       const Comparison c = compare(plan, table, a, name);

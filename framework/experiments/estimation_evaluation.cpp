@@ -129,6 +129,7 @@ ordered_json estimation_cases(const EvaluationColumn& column, std::size_t arm) {
     if (row.arm != arm) continue;
     ordered_json one{{"seed", row.seed}};
     if (!row.failure.empty()) {
+      one["status"] = to_string(row.status);
       one["failed"] = row.failure;
     } else {
       const EstimationCase found = estimation_case(row);

@@ -46,6 +46,7 @@ ordered_json planning_column(const EvaluationColumn& column) {
       one["error_mm"] = json_number(row.metric("error_mm"));
       if (!row.failure.empty()) {
         one["error_mm"] = nullptr;
+        one["status"] = to_string(row.status);
         one["failed"] = row.failure;
       } else {
         errors.push_back(row.metric("error_mm"));

@@ -2,14 +2,21 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
+#include <deque>
 #include <fstream>
 #include <limits>
 #include <mutex>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <thread>
 
+#include "experiments/cell_work.hpp"
 #include "experiments/json_numbers.hpp"
 #include "loader/program_host.hpp"
+#include "processes/claims.hpp"
+#include "processes/worker_process.hpp"
+#include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
 #include "weft/config.hpp"
 
@@ -37,19 +44,14 @@ void write_row(const SweepPlan& plan, const SweepRow& row, const std::string& fi
                     {"arm", plan.arms[row.arm].name},
                     {"seed", row.seed},
                     {"config", fingerprint},
-                    {"status", row.failure.empty() ? "done" : "failed"},
+                    {"status", to_string(row.status)},
                     {"failure", row.failure},
                     {"paired_by", row.outcome.paired_by},
                     {"metrics", metrics}};
   const auto& payload = row.outcome.payload;
   if (!payload.schema.empty())
     json["payload"] = {{"schema", payload.schema}, {"value", ordered_json::parse(payload.json)}};
-  const fs::path temporary = row.file.string() + ".tmp";
-  std::ofstream stream(temporary, std::ios::binary);
-  stream << json.dump(2, ' ', false, ordered_json::error_handler_t::replace) << '\n';
-  stream.close();
-  if (!stream) throw Error(row.file.string() + ": cannot be written");
-  fs::rename(temporary, row.file);
+  write_text(row.file, json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n");
 }
 
 SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, std::uint64_t seed,
@@ -64,7 +66,8 @@ SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, 
       throw ConfigError(file.string() +
                         ": belongs to a sweep with another config; give another --out, or remove its folder");
     row.failure = json.at("failure").get<std::string>();
-    if (json.at("status") != (row.failure.empty() ? "done" : "failed"))
+    row.status = work_status_named(json.at("status").get<std::string>());
+    if ((row.status == WorkStatus::done) != row.failure.empty())
       throw ConfigError(file.string() + ": is damaged: status and failure disagree");
     row.outcome.paired_by = json.at("paired_by").get<std::string>();
     for (const auto& [name, value] : json.at("metrics").items())
@@ -93,82 +96,196 @@ std::vector<std::string> sweep_metrics(const std::vector<SweepRow>& rows) {
   return names;
 }
 
-std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options) {
-  const fs::path cells = options.folder / "cells";
-  std::error_code problem;
-  fs::create_directories(cells, problem);
-  if (!fs::is_directory(cells)) throw Error(cells.string() + ": cannot be made: " + problem.message());
+namespace {
 
-  // Seed by seed, so that the rows of an unfinished run can be compared.
+/// One process's part of a sweep.
+class Sweep {
+ public:
+  Sweep(const SweepPlan& plan, const SweepOptions& options)
+      : plan_(plan),
+        options_(options),
+        leftovers_(options.folder / "cells"),
+        claims_(options.folder / "claims"),
+        slowest_(options.cell_limit_s) {}
+
+  std::vector<SweepRow> run() {
+    find_cells();
+    const auto jobs = std::min<std::size_t>(todo_.size(), static_cast<std::size_t>(std::max(1, options_.jobs)));
+    std::vector<std::thread> threads;
+    for (std::size_t i = 1; i < jobs; ++i) threads.emplace_back([this] { work(); });
+    work();
+    for (auto& thread : threads) thread.join();
+    if (error_) std::rethrow_exception(error_);
+    return rows();
+  }
+
+ private:
   struct Cell {
     std::size_t arm;
     std::uint64_t seed;
     ConfigNode config;
     std::string fingerprint;
     fs::path file;
+    int attempt = 1;
   };
-  std::vector<Cell> todo;
-  std::vector<SweepRow> rows;
-  for (const std::uint64_t seed : plan.seeds) {
-    for (std::size_t arm = 0; arm < plan.arms.size(); ++arm) {
-      Cell cell{arm, seed, plan.arms[arm].config.with("seed", ConfigNode::integer(static_cast<std::int64_t>(seed))), "",
-                cells / cell_name(plan, arm, seed)};
-      cell.fingerprint = cell_fingerprint(cell.config);
-      if (fs::exists(cell.file))
-        rows.push_back(read_row(cell.file, plan, arm, seed, cell.fingerprint));
-      else
-        todo.push_back(std::move(cell));
+
+  bool cancelled() const { return options_.cancel != nullptr && *options_.cancel; }
+  bool over() const { return stopping_ || cancelled(); }
+
+  /// Seed by seed, so that the rows of an unfinished run can be compared.
+  std::vector<Cell> all_cells() const {
+    std::vector<Cell> cells;
+    for (const std::uint64_t seed : plan_.seeds) {
+      for (std::size_t arm = 0; arm < plan_.arms.size(); ++arm) {
+        const auto number = ConfigNode::integer(static_cast<std::int64_t>(seed));
+        Cell cell{arm, seed, plan_.arms[arm].config.with("seed", number), "",
+                  options_.folder / "cells" / cell_name(plan_, arm, seed)};
+        cell.fingerprint = cell_fingerprint(cell.config);
+        cells.push_back(std::move(cell));
+      }
+    }
+    return cells;
+  }
+  SweepRow read(const Cell& cell) const { return read_row(cell.file, plan_, cell.arm, cell.seed, cell.fingerprint); }
+
+  void find_cells() {
+    auto cells = all_cells();
+    total_ = cells.size();
+    std::vector<fs::path> again;
+    for (auto& cell : cells) {
+      if (fs::exists(cell.file)) {
+        if (!tries_again(options_.retry, read(cell).status)) continue;
+        again.push_back(cell.file);
+      }
+      todo_.push_back(std::move(cell));
+    }
+    for (const auto& file : again) fs::remove(file);
+  }
+
+  void work() {
+    try {
+      std::optional<WorkerProcess> child;
+      if (!options_.worker.empty()) child.emplace(options_.worker);
+      while (const auto cell = next()) {
+        SweepRow row{cell->arm, cell->seed, "", {}, cell->file};
+        if (cell->attempt > kMostAttempts) {
+          row.status = WorkStatus::lost;
+          row.failure = std::to_string(cell->attempt - 1) + " processes that ran it have vanished";
+        } else if (child) {
+          const WorkEnd end = child->run(
+              options_.request(cell->config), [&] { return slowest_.limits(); }, [&] { return over(); });
+          if (end.kind == WorkEnd::Kind::cancelled) return;
+          if (end.kind == WorkEnd::Kind::answered) slowest_.add(end.cpu_seconds);
+          read_cell_end(end, row);
+        } else {
+          run_here(*cell, row);
+        }
+        if (cancelled()) return;  // a cell that ended early has no valid result
+        finish(*cell, row);
+      }
+    } catch (...) {
+      const std::lock_guard lock(mutex_);
+      if (!error_) error_ = std::current_exception();
+      stopping_ = true;
     }
   }
 
-  const std::size_t total = rows.size() + todo.size();
-  std::atomic<std::size_t> next{0};
-  std::mutex mutex;
-  std::exception_ptr error;  // from writing a row; only this stops the other cells
-  const auto cancelled = [&] { return options.cancel != nullptr && *options.cancel; };
-  const auto work = [&] {
-    for (std::size_t i = next++; i < todo.size(); i = next++) {
-      const Cell& cell = todo[i];
-      SweepRow row{cell.arm, cell.seed, "", {}, cell.file};
-      if (cancelled()) return;
-      try {
-        const auto threads = cell.config.find("threads");
-        HostOptions host_options;
-        host_options.threads = std::max(1, threads ? static_cast<int>(threads->as_int()) : 1);
-        host_options.seed = cell.seed;
-        host_options.cancel = options.cancel;
-        const auto host = make_host(options.registry, host_options);
-        row.outcome = options.runner(cell.config, *host);
-      } catch (const std::exception& failure) {
-        row.failure = failure.what();
-        if (row.failure.empty()) row.failure = "failed without a message";
-      } catch (...) {
-        row.failure = "threw something that is not a std::exception";
-      }
-      if (cancelled()) return;  // a cell that ended early has no valid result
-      const std::lock_guard lock(mutex);
-      if (error) return;
-      try {
-        write_row(plan, row, cell.fingerprint);
-        rows.push_back(row);
-        if (options.progress) options.progress(row, rows.size(), total);
-      } catch (...) {
-        error = std::current_exception();
-      }
+  void run_here(const Cell& cell, SweepRow& row) const {
+    try {
+      const auto host = make_cell_host(options_.registry, cell.config, options_.cancel);
+      row.outcome = options_.runner(cell.config, *host);
+    } catch (...) {
+      const WorkFailure failure = current_failure();
+      row.status = failure.status;
+      row.failure = failure.message;
     }
-  };
-  const auto jobs = std::min<std::size_t>(todo.size(), static_cast<std::size_t>(std::max(1, options.jobs)));
-  std::vector<std::thread> threads;
-  for (std::size_t i = 1; i < jobs; ++i) threads.emplace_back(work);
-  work();
-  for (auto& thread : threads) thread.join();
-  if (error) std::rethrow_exception(error);
+  }
 
-  const auto order = [&](const SweepRow& row) {
-    return std::pair(std::find(plan.seeds.begin(), plan.seeds.end(), row.seed) - plan.seeds.begin(), row.arm);
-  };
-  std::sort(rows.begin(), rows.end(), [&](const auto& a, const auto& b) { return order(a) < order(b); });
-  return rows;
+  /// Claims the next cell. Waits while the missing ones are other processes'. @return nothing: there are no more.
+  std::optional<Cell> next() {
+    while (!over()) {
+      {
+        const std::lock_guard lock(mutex_);
+        if (auto cell = claim()) return cell;
+        if (todo_.empty()) return std::nullopt;
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(500));
+    }
+    return std::nullopt;
+  }
+
+  std::optional<Cell> claim() {
+    for (auto cell = todo_.begin(); cell != todo_.end();) {
+      if (fs::exists(cell->file)) {  // another process has run it
+        cell = todo_.erase(cell);
+        continue;
+      }
+      const std::string name = cell->file.stem().string();
+      const auto attempt = claims_.take(name);
+      if (!attempt) {
+        ++cell;
+        continue;
+      }
+      leftovers_.remove(cell->file);
+      Cell mine = std::move(*cell);
+      cell = todo_.erase(cell);
+      if (fs::exists(mine.file)) {  // whoever had the claim before has run it
+        claims_.release(name);
+        continue;
+      }
+      mine.attempt = *attempt;
+      ++at_work_;
+      return mine;
+    }
+    return std::nullopt;
+  }
+
+  void finish(const Cell& cell, const SweepRow& row) {
+    const std::lock_guard lock(mutex_);
+    write_row(plan_, row, cell.fingerprint);
+    claims_.release(cell.file.stem().string());
+    --at_work_;
+    if (options_.progress) options_.progress(row, total_ - todo_.size() - at_work_, total_);
+    if (row.status != WorkStatus::done && options_.fail_fast) stopping_ = true;
+  }
+
+  std::vector<SweepRow> rows() const {
+    std::vector<SweepRow> rows;
+    for (const auto& cell : all_cells())
+      if (fs::exists(cell.file)) rows.push_back(read(cell));
+    return rows;
+  }
+
+  const SweepPlan& plan_;
+  const SweepOptions& options_;
+  Leftovers leftovers_;
+  Claims claims_;
+  SlowestUnit slowest_;
+  std::atomic<bool> stopping_ = false;
+  std::mutex mutex_;  ///< for what follows
+  std::exception_ptr error_;
+  std::size_t total_ = 0, at_work_ = 0;
+  std::deque<Cell> todo_;  ///< cells without a row that no thread of this process has claimed
+};
+
+}  // namespace
+
+std::unique_ptr<Host> make_cell_host(std::shared_ptr<const PluginRegistry> registry, const ConfigNode& cell,
+                                     const std::atomic<bool>* cancel) {
+  const auto threads = cell.find("threads");
+  HostOptions options;
+  options.threads = std::max(1, threads ? static_cast<int>(threads->as_int()) : 1);
+  options.seed = static_cast<std::uint64_t>(cell.at("seed").as_int());
+  options.cancel = cancel;
+  return make_host(std::move(registry), options);
+}
+
+std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options) {
+  const fs::path cells = options.folder / "cells";
+  std::error_code problem;
+  fs::create_directories(cells, problem);
+  if (!fs::is_directory(cells)) throw Error(cells.string() + ": cannot be made: " + problem.message());
+  return Sweep(plan, options).run();
 }
 
 }  // namespace weft

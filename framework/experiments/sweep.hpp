@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "loader/registry.hpp"
+#include "processes/work_status.hpp"
 #include "weft/config.hpp"
 #include "weft/host.hpp"
 
@@ -52,9 +53,10 @@ struct SweepOutcome {
 struct SweepRow {
   std::size_t arm = 0;
   std::uint64_t seed = 0;
-  std::string failure;  ///< empty: the cell did not fail
+  std::string failure;  ///< empty: the cell is done
   SweepOutcome outcome;
   std::filesystem::path file = {};  ///< the row's file
+  WorkStatus status = WorkStatus::done;
 
   double metric(const std::string& name) const;  ///< NaN if there is no metric of this name
 };
@@ -66,18 +68,29 @@ using SweepRunner = std::function<SweepOutcome(const ConfigNode& config, Host& h
 
 struct SweepOptions {
   std::filesystem::path folder;  ///< rows go into folder/cells
-  int jobs = 1;                  ///< cells that run in parallel
+  int jobs = 1;                  ///< cells that this process runs at a time
   std::shared_ptr<const PluginRegistry> registry;
   const std::atomic<bool>* cancel = nullptr;
-  SweepRunner runner;
+  /// Command of the child processes that run the cells, and the request that one of them understands (cell_work.hpp).
+  /// Empty: `runner` runs them in threads of this process, and a crash of one ends them all.
+  std::vector<std::string> worker = {};
+  std::function<std::string(const ConfigNode& config)> request = {};
+  SweepRunner runner = {};
+  Retry retry = Retry::none;  ///< which failed cells of earlier runs are run again
+  bool fail_fast = false;     ///< stop after the first cell that fails
+  double cell_limit_s = 0.0;  ///< CPU time of a cell after which it hangs; 0: 20 times the slowest, at least 600
   /// Called after every row, one call at a time. `done` includes the rows of earlier runs.
-  std::function<void(const SweepRow& row, std::size_t done, std::size_t total)> progress;
+  std::function<void(const SweepRow& row, std::size_t done, std::size_t total)> progress = {};
 };
 
-/// Runs all cells that have no row yet, seed by seed, several in parallel. Every cell has its own host with the
-/// config's `threads` (0: one thread). A row's file is whole or absent, so the next run finishes a killed one. An
-/// exception in a cell becomes its row's failure; the other cells continue.
-/// @return all rows, [seeds * arms]; fewer if cancelled.
+/// The host of a cell: with the config's `threads` (0: one thread) and its seed.
+std::unique_ptr<Host> make_cell_host(std::shared_ptr<const PluginRegistry> registry, const ConfigNode& cell,
+                                     const std::atomic<bool>* cancel);
+
+/// Runs all cells that have no row yet, seed by seed, several in parallel. A row's file is whole or absent, so the next
+/// run finishes a killed one. A cell that fails, crashes or hangs gets a row that says so; the other cells continue.
+/// Several processes may run one sweep: each claims the cells that it runs, and the call returns when all rows are there.
+/// @return all rows, [seeds * arms]; fewer if cancelled, or stopped by fail_fast.
 /// @throws ConfigError if the folder holds rows of another sweep, or a damaged row.
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options);
 

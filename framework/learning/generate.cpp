@@ -1,12 +1,18 @@
 #include "learning/generate.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
-#include <cstdio>
 #include <mutex>
+#include <optional>
+#include <thread>
+#include <utility>
 
 #include "learning/dataset_files.hpp"
+#include "learning/example_bytes.hpp"
 #include "loader/where.hpp"
+#include "processes/claims.hpp"
+#include "processes/worker_process.hpp"
 #include "sdk/fingerprint.hpp"
 #include "simulation/fold.hpp"
 
@@ -39,14 +45,55 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
   return h;
 }
 
+namespace {
+
+RandomStream example_streams(std::uint64_t seed, std::int64_t index) {
+  return RandomStream(seed, 0x6578616d706c65ull, static_cast<std::uint64_t>(index));
+}
+
+MaterialProperties example_material(const RandomStream& streams) {
+  RandomStream random = streams.child(0);
+  MaterialProperties q;
+  for (Index p = 0; p < 4; ++p) q(p) = random.uniform();
+  return q;
+}
+
+/// An example that has no shapes. @param controls the trajectory's.
+Example failed_example(std::uint64_t seed, std::int64_t index, Index controls, const WorkFailure& failure) {
+  Example example;
+  example.index = index;
+  example.q = example_material(example_streams(seed, index));
+  example.controls.resize(0, controls);
+  example.failure = failure.message;
+  if (failure.status != WorkStatus::diverged)
+    example.failure = std::string(to_string(failure.status)) + ": " + example.failure;
+  return example;
+}
+
+}  // namespace
+
+WorkFailure failure_of(const Example& example) {
+  if (!example.failed()) return {WorkStatus::done, ""};
+  for (const auto status : {WorkStatus::refused, WorkStatus::crashed, WorkStatus::hung, WorkStatus::lost}) {
+    const std::string beginning = std::string(to_string(status)) + ": ";
+    if (example.failure.starts_with(beginning)) return {status, example.failure.substr(beginning.size())};
+  }
+  return {WorkStatus::diverged, example.failure};
+}
+
+bool GenerateReport::acceptable() const {
+  const auto diverged = std::count(failures.begin(), failures.end(), WorkStatus::diverged);
+  constexpr std::int64_t kMostDiverged = 100;  // one in so many
+  return diverged == failed() && diverged * kMostDiverged <= made + kept;
+}
+
 Example make_example(Simulator& simulator, const Task& task, const DataParams& params, std::uint64_t seed,
                      std::int64_t index) {
   const Step step("example", index);
-  const RandomStream streams(seed, 0x6578616d706c65ull, static_cast<std::uint64_t>(index));
+  const RandomStream streams = example_streams(seed, index);
   Example example;
   example.index = index;
-  RandomStream material = streams.child(0);
-  for (Index p = 0; p < 4; ++p) example.q(p) = material.uniform();
+  example.q = example_material(streams);
   RandomStream random = streams.child(1);
   const double amplitude = random.uniform(params.amplitude_low, std::max(params.amplitude_low, params.amplitude_high));
   RandomControlsParams distribution = params.distribution;
@@ -65,11 +112,8 @@ Example make_example(Simulator& simulator, const Task& task, const DataParams& p
   FoldResult fold;
   try {
     fold = simulate_fold(simulator, task, example.q, controls);
-  } catch (const Error& error) {
-    example.failure = error.what();
-    if (example.failure.empty()) example.failure = "failed";
-    example.controls.resize(0, controls.cols());
-    return example;
+  } catch (...) {
+    return failed_example(seed, index, controls.cols(), current_failure());
   }
   example.controls = controls.topRows(fold.segments);
   example.states = fold.states;
@@ -89,36 +133,25 @@ Example make_example(Simulator& simulator, const Task& task, const DataParams& p
 
 namespace {
 
-/// A killed run leaves its temporary file. The temporary files of other parts may be in use.
-void remove_temporaries(const GenerateOptions& options) {
-  for (const auto& entry : fs::directory_iterator(options.folder)) {
-    long long number = 0;
-    int used = 0;
-    const auto name = entry.path().filename().string();
-    if (std::sscanf(name.c_str(), "shard-%lld.h5.tmp%n", &number, &used) == 1 && used > 0 &&
-        number % options.shard_count == options.shard_index)
-      fs::remove(entry.path());
-  }
-}
-
 /// The examples [first, end) of one file.
 struct ShardRange {
   std::int64_t number = 0, first = 0, end = 0;
   std::int64_t count() const { return end - first; }
 };
 
-/// Whether the file holds the examples of its range. If so, they count as kept. A damaged file is reported.
+/// The examples of a complete file that need not be made; empty if the file must be made. A damaged one is reported.
+/// @param range is widened to all examples of a file that is made again in part.
 /// @throws ConfigError if it belongs to another dataset.
-bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHeader& header, GenerateReport& report,
-                 bool& warned, Host& host) {
-  if (!fs::exists(file)) return false;
+std::vector<Example> kept_examples(const fs::path& file, ShardRange& range, const DatasetHeader& header, Retry retry,
+                                   GenerateReport& report, bool& warned, Host& host) {
+  if (!fs::exists(file)) return {};
   Shard shard;
   try {
     shard = read_shard(file);
   } catch (const ConfigError& error) {
     ++report.refused;
     host.log(LogLevel::warning, std::string(error.what()) + "; it is made again");
-    return false;
+    return {};
   } catch (const Error& error) {
     throw ConfigError(error.what());
   }
@@ -126,108 +159,242 @@ bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHea
     throw ConfigError(file.string() + ": belongs to another dataset (identity " + shard.header.identity +
                       ", this one is " + header.identity + "); choose another folder");
   }
-  if (static_cast<std::int64_t>(shard.examples.size()) < range.count()) return false;
+  if (static_cast<std::int64_t>(shard.examples.size()) < range.count()) return {};
   for (std::int64_t i = 0; i < range.count(); ++i) {
-    if (shard.examples[i].index != range.first + i) return false;
+    if (shard.examples[static_cast<std::size_t>(i)].index != range.first + i) return {};
   }
   if (!warned && shard.header.provenance != header.provenance) {
     host.log(LogLevel::warning,
              file.string() + ": was made by another version of weft or its plugins; its examples are kept");
     warned = true;
   }
-  report.kept += range.count();
-  for (const auto& e : shard.examples) report.failed += e.failed();
-  return true;
+  const auto tried_again = [&](const Example& e) { return tries_again(retry, failure_of(e).status); };
+  if (std::none_of(shard.examples.begin(), shard.examples.end(), tried_again))
+    shard.examples.resize(static_cast<std::size_t>(range.count()));
+  range.end = range.first + static_cast<std::int64_t>(shard.examples.size());
+  std::erase_if(shard.examples, tried_again);
+  return std::move(shard.examples);
 }
 
-/// The missing files of this part.
-std::vector<ShardRange> missing_files(const DatasetHeader& header, std::int64_t size, const GenerateOptions& options,
-                                      GenerateReport& report, Host& host) {
-  std::vector<ShardRange> missing;
-  bool warned = false;
-  for (std::int64_t number = 0; number * size < options.examples; ++number) {
-    if (number % options.shard_count != options.shard_index) continue;
-    ++report.files;
-    const ShardRange range{number, number * size, std::min(options.examples, (number + 1) * size)};
-    if (!is_complete(options.folder / shard_name(number), range, header, report, warned, host))
-      missing.push_back(range);
-  }
-  return missing;
-}
-
-/// Simulators for the threads that make examples. A new one is made if all others are in use.
-class SimulatorPool {
+/// Makes the files of a part: hands out their examples to threads, and writes each file when it has all of them.
+class Production {
  public:
-  SimulatorPool(Host& host, const ConfigNode& slot) : host_(host), slot_(slot) {}
-  std::shared_ptr<Simulator> take() {
-    {
-      const std::lock_guard lock(mutex_);
-      if (!free_.empty()) {
-        auto simulator = std::move(free_.back());
-        free_.pop_back();
-        return simulator;
-      }
+  Production(const Task& task, const DataParams& params, const DatasetHeader& header, const GenerateOptions& options,
+             Host& host, const GenerateProgress& progress)
+      : task_(task),
+        params_(params),
+        header_(header),
+        options_(options),
+        host_(host),
+        progress_(progress),
+        started_(std::chrono::steady_clock::now()),
+        slowest_(options.cell_limit_s),
+        claims_(options.folder / "claims"),
+        leftovers_(options.folder) {
+    for (std::int64_t number = 0; number * params.shard_examples < options.examples; ++number) {
+      if (number % options.shard_count != options.shard_index) continue;
+      ++report_.files;
+      const auto first = number * params.shard_examples;
+      ShardRange range{number, first, std::min(options.examples, first + params.shard_examples)};
+      auto kept = look(range);
+      if (std::cmp_equal(kept.size(), range.count()))
+        keep(kept);
+      else
+        missing_.push_back(range);
+      total_ += range.count() - static_cast<std::int64_t>(kept.size());
     }
-    return host_.create<Simulator>(slot_);
   }
-  void give_back(std::shared_ptr<Simulator> simulator) {
-    const std::lock_guard lock(mutex_);
-    free_.push_back(std::move(simulator));
+
+  /// Makes examples until there are no more; several threads may call it.
+  void work() {
+    std::optional<WorkerProcess> child;
+    std::shared_ptr<Simulator> simulator;
+    if (!options_.worker.empty()) child.emplace(options_.worker);
+    try {
+      while (const auto job = next()) {
+        Example example;
+        if (child) {
+          auto made = make_in(*child, job->index);
+          if (!made) return;
+          example = std::move(*made);
+        } else {
+          if (!simulator) simulator = host_.create<Simulator>(task_.simulator);
+          example = make_example(*simulator, task_, params_, header_.seed, job->index);
+        }
+        if (host_.cancelled()) return;
+        finish(*job, std::move(example));
+      }
+    } catch (...) {
+      stopping_ = true;
+      throw;
+    }
+  }
+
+  GenerateReport report() {
+    report_.seconds = elapsed();
+    report_.cancelled = over();
+    return report_;
   }
 
  private:
+  /// A file that is being made.
+  struct Open {
+    ShardRange range;
+    Shard shard;
+    std::vector<std::int64_t> todo;  ///< indices, the next one last
+    std::size_t at_work = 0;         ///< examples that were handed out and are not finished
+    std::int64_t made = 0;
+  };
+  struct Job {
+    std::shared_ptr<Open> file;
+    std::int64_t index;
+  };
+
+  double elapsed() const { return std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count(); }
+  bool over() const { return stopping_ || host_.cancelled(); }
+
+  std::vector<Example> look(ShardRange& range) {
+    return kept_examples(options_.folder / shard_name(range.number), range, header_, options_.retry, report_, warned_,
+                         host_);
+  }
+  void keep(const std::vector<Example>& examples) {
+    report_.kept += static_cast<std::int64_t>(examples.size());
+    count_failures(examples);
+  }
+  void count_failures(const std::vector<Example>& examples) {
+    for (const auto& e : examples)
+      if (e.failed()) report_.failures.push_back(failure_of(e).status);
+  }
+
+  /// The next example to make. Waits while the missing files are other processes'. @return nothing: all are there.
+  std::optional<Job> next() {
+    while (!over()) {
+      {
+        const std::lock_guard lock(mutex_);
+        if (open_ == nullptr || open_->todo.empty()) open_ = claim();
+        if (open_ != nullptr) {
+          const auto index = open_->todo.back();
+          open_->todo.pop_back();
+          ++open_->at_work;
+          return Job{open_, index};
+        }
+        if (missing_.empty()) return std::nullopt;
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(500));
+    }
+    return std::nullopt;
+  }
+
+  /// Claims a missing file. Files that other processes have made in the meantime are kept.
+  std::shared_ptr<Open> claim() {
+    for (std::size_t i = 0; i < missing_.size();) {
+      ShardRange range = missing_[i];
+      const std::string name = shard_name(range.number);
+      if (!claims_.take(name)) {
+        ++i;
+        continue;
+      }
+      leftovers_.remove(options_.folder / name);
+      missing_.erase(missing_.begin() + static_cast<std::ptrdiff_t>(i));
+      auto kept = look(range);  // whoever had the claim before may have made it
+      if (std::cmp_equal(kept.size(), range.count())) {
+        keep(kept);
+        claims_.release(name);
+        continue;
+      }
+      auto file = std::make_shared<Open>();
+      file->range = range;
+      file->shard.header = header_;
+      file->shard.examples.resize(static_cast<std::size_t>(range.count()));
+      std::vector<bool> has(file->shard.examples.size());
+      for (auto& example : kept) {
+        const auto place = static_cast<std::size_t>(example.index - range.first);
+        has.at(place) = true;
+        file->shard.examples[place] = std::move(example);
+      }
+      for (std::int64_t index = range.end; index-- > range.first;)
+        if (!has[static_cast<std::size_t>(index - range.first)]) file->todo.push_back(index);
+      return file;
+    }
+    return nullptr;
+  }
+
+  /// @return nothing if the user asked to stop.
+  std::optional<Example> make_in(WorkerProcess& child, std::int64_t index) {
+    const auto fail = [&](WorkStatus status, const std::string& text) {
+      return failed_example(header_.seed, index, static_cast<Index>(header_.control_names.size()), {status, text});
+    };
+    const WorkEnd end = child.run(
+        options_.request(index), [&] { return slowest_.limits(); }, [&] { return over(); });
+    switch (end.kind) {
+      case WorkEnd::Kind::cancelled:
+        return std::nullopt;
+      case WorkEnd::Kind::crashed:
+        return fail(WorkStatus::crashed, end.text);
+      case WorkEnd::Kind::hung:
+        return fail(WorkStatus::hung, end.text);
+      case WorkEnd::Kind::lost:
+        return fail(WorkStatus::lost, end.text);
+      case WorkEnd::Kind::answered:
+        break;
+    }
+    slowest_.add(end.cpu_seconds);
+    if (end.text.starts_with(kNoExample)) return fail(WorkStatus::refused, end.text.substr(kNoExample.size()));
+    try {
+      Example example = example_from_hex(end.text);
+      if (example.index == index) return example;
+    } catch (const ConfigError&) {  // reported below
+    }
+    return fail(WorkStatus::crashed, "its process answered with nonsense: " + end.text.substr(0, 200));
+  }
+
+  void finish(const Job& job, Example example) {
+    const std::lock_guard lock(mutex_);
+    Open& file = *job.file;
+    if (example.failed()) {
+      if (options_.failed) options_.failed(example.index, failure_of(example));
+      if (options_.fail_fast) stopping_ = true;
+    }
+    file.shard.examples[static_cast<std::size_t>(job.index - file.range.first)] = std::move(example);
+    ++file.made;
+    if (--file.at_work > 0 || !file.todo.empty()) return;
+    const std::string name = shard_name(file.range.number);
+    write_shard(options_.folder / name, file.shard);
+    claims_.release(name);
+    report_.made += file.made;
+    report_.kept += file.range.count() - file.made;
+    count_failures(file.shard.examples);
+    report_.seconds = elapsed();
+    if (progress_) progress_(report_, total_);
+  }
+
+  const Task& task_;
+  const DataParams& params_;
+  const DatasetHeader& header_;
+  const GenerateOptions& options_;
   Host& host_;
-  ConfigNode slot_;
-  std::mutex mutex_;
-  std::vector<std::shared_ptr<Simulator>> free_;
+  const GenerateProgress& progress_;
+  std::chrono::steady_clock::time_point started_;
+  SlowestUnit slowest_;
+  Claims claims_;
+  Leftovers leftovers_;
+  std::atomic<bool> stopping_ = false;
+  std::mutex mutex_;  ///< for what follows
+  GenerateReport report_;
+  bool warned_ = false;
+  std::int64_t total_ = 0;
+  std::vector<ShardRange> missing_;  ///< that no thread has claimed
+  std::shared_ptr<Open> open_;       ///< the file whose examples are handed out
 };
 
 }  // namespace
 
 GenerateReport generate_dataset(const Task& task, const DataParams& params, const DatasetHeader& header,
                                 const GenerateOptions& options, Host& host, const GenerateProgress& progress) {
-  const auto started = std::chrono::steady_clock::now();
-  const auto elapsed = [&] {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
-  };
-  GenerateReport report;
   fs::create_directories(options.folder);
-  remove_temporaries(options);
-  const auto missing = missing_files(header, params.shard_examples, options, report, host);
-  std::int64_t total = 0;
-  for (const ShardRange& range : missing) total += range.count();
-
-  SimulatorPool pool(host, task.simulator);
-  // With many threads several files are made at a time, so that few threads wait for the last example of a file.
-  const auto wave = static_cast<std::size_t>(std::max(1, host.threads() / 8));
-  for (std::size_t at = 0; at < missing.size() && !report.cancelled; at += wave) {
-    const std::size_t files = std::min(wave, missing.size() - at);
-    std::vector<Shard> shards(files);
-    std::vector<std::pair<std::size_t, std::int64_t>> jobs;
-    for (std::size_t f = 0; f < files; ++f) {
-      const ShardRange& range = missing[at + f];
-      shards[f].header = header;
-      shards[f].examples.resize(range.count());
-      for (std::int64_t i = range.first; i < range.end; ++i) jobs.emplace_back(f, i);
-    }
-    host.parallel_for(static_cast<std::int64_t>(jobs.size()), [&](std::int64_t j) {
-      if (host.cancelled()) return;
-      const auto [f, index] = jobs[j];
-      auto simulator = pool.take();
-      shards[f].examples[index - missing[at + f].first] = make_example(*simulator, task, params, header.seed, index);
-      pool.give_back(std::move(simulator));
-    });
-    report.cancelled = host.cancelled();
-    for (std::size_t f = 0; f < files && !report.cancelled; ++f) {
-      write_shard(options.folder / shard_name(missing[at + f].number), shards[f]);
-      report.made += static_cast<std::int64_t>(shards[f].examples.size());
-      for (const auto& e : shards[f].examples) report.failed += e.failed();
-      report.seconds = elapsed();
-      if (progress) progress(report, total);
-    }
-  }
-  report.seconds = elapsed();
-  return report;
+  Production production(task, params, header, options, host, progress);
+  host.parallel_for(host.threads(), [&](std::int64_t) { production.work(); });
+  return production.report();
 }
 
 }  // namespace weft

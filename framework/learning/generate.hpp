@@ -2,7 +2,10 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <string>
+#include <vector>
 
+#include "processes/work_status.hpp"
 #include "simulation/random_controls.hpp"
 #include "weft/dataset.hpp"
 #include "weft/host.hpp"
@@ -45,20 +48,38 @@ struct GenerateOptions {
   std::filesystem::path folder;
   /// This machine makes the files with number % shard_count == shard_index.
   std::int64_t shard_index = 0, shard_count = 1;
+  /// Command of the child processes that make the examples, and the request that one of them understands. Empty: the
+  /// threads of this process make them, and a crash in one ends them all.
+  std::vector<std::string> worker = {};
+  std::function<std::string(std::int64_t index)> request = {};
+  Retry retry = Retry::none;  ///< which failed examples of complete files are made again
+  bool fail_fast = false;     ///< stop after the first example that failed
+  double cell_limit_s = 0.0;  ///< CPU time of an example after which it hangs; 0: 20 times the slowest, at least 600
+  /// Called for every example that fails, one call at a time.
+  std::function<void(std::int64_t index, const WorkFailure& failure)> failed = {};
 };
 struct GenerateReport {
-  std::int64_t made = 0, kept = 0, failed = 0, files = 0, refused = 0;
+  std::int64_t made = 0, kept = 0, files = 0, refused = 0;
+  /// Of the failed examples in the files of this part, kept ones included.
+  std::vector<WorkStatus> failures;
   double seconds = 0.0;
   bool cancelled = false;
+
+  std::int64_t failed() const { return static_cast<std::int64_t>(failures.size()); }
+  /// Diverged examples are data, up to one in a hundred. Any other failure makes the dataset one to look at.
+  bool acceptable() const;
 };
 /// Called after every file.
 using GenerateProgress = std::function<void(const GenerateReport&, std::int64_t total)>;
 
+/// How a failed example failed. Its `failure` begins with the status unless it diverged.
+WorkFailure failure_of(const Example& example);
 /// Makes example `index`. It depends on (seed, index), the task and the parameters alone.
 Example make_example(Simulator& simulator, const Task& task, const DataParams& params, std::uint64_t seed,
                      std::int64_t index);
 /// Makes the missing shards of [0, examples). Complete files of this dataset are kept; damaged ones are reported and
-/// made again. If the process is killed, only complete files remain.
+/// made again. If the process is killed, only complete files remain. Several processes may make one dataset: each
+/// claims the files that it makes, and the call returns when all files are there.
 /// @throws ConfigError if the folder holds another dataset.
 GenerateReport generate_dataset(const Task& task, const DataParams& params, const DatasetHeader& header,
                                 const GenerateOptions& options, Host& host, const GenerateProgress& progress = {});

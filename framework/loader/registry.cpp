@@ -383,6 +383,8 @@ void visit_erased(void* library, ParamVisitor& visitor) {
 
 }  // namespace
 
+const std::vector<fs::path>& PluginRegistry::search_path() const { return impl_->search_path; }
+
 std::vector<ParamInfo> PluginRegistry::params(const PluginEntry& entry) const {
   const auto library = impl_->library(entry.file);
   return describe_params_erased(const_cast<Library*>(library.get()), visit_erased);

@@ -26,6 +26,8 @@ class PluginRegistry {
   explicit PluginRegistry(std::vector<std::filesystem::path> search_path = {});
   ~PluginRegistry();
   static std::vector<std::filesystem::path> default_search_path();
+  /// The folders that are searched, in this order.
+  const std::vector<std::filesystem::path>& search_path() const;
 
   /// Everything on the search path, sorted by kind and name; refused libraries last. Each entry is what find() takes.
   std::vector<PluginEntry> list() const;

@@ -80,28 +80,32 @@ class NoBrokenPipeSignal {
   bool was_pending_ = false;
 };
 
-/// @return false if the time is over first.
-bool wait_for(int file, short event, MonotonicTime deadline) {
+/// Waits until a file can be read or written, or a second one can be read.
+/// @param other -1: none. @return whether `file` can; false also if the time is over or the second one can.
+bool wait_for(int file, short event, MonotonicTime deadline, int other = -1) {
   while (true) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now()).count();
-    pollfd one{file, event, 0};
-    const int ready = poll(&one, 1, static_cast<int>(std::clamp<std::int64_t>(left, 0, 1000000)));
-    if (ready > 0) return true;
+    pollfd files[2] = {{file, event, 0}, {other, POLLIN, 0}};
+    const int ready = poll(files, 2, static_cast<int>(std::clamp<std::int64_t>(left, 0, 1000000)));
+    if (ready > 0) return files[0].revents != 0;
     if (ready < 0 && errno != EINTR) throw Error(std::string("poll: ") + std::strerror(errno));
     if (left <= 0) return false;
   }
 }
 
-/// Appends what a pipe holds now.
-void drain(int file, std::string& text) {
+/// Appends what a pipe holds now. @return false: its writers have closed it.
+bool drain(int file, std::string& text) {
   char block[4096];
   while (file >= 0) {
     const ssize_t n = read(file, block, sizeof(block));
     if (n > 0)
       text.append(block, static_cast<std::size_t>(n));
-    else if (n == 0 || errno != EINTR)
-      return;
+    else if (n == 0)
+      return false;
+    else if (errno != EINTR)
+      return true;
   }
+  return true;
 }
 
 void set_nonblocking(int file) { fcntl(file, F_SETFL, fcntl(file, F_GETFL) | O_NONBLOCK); }
@@ -259,7 +263,11 @@ ChildProcess::Outcome ChildProcess::read_line(std::string& line, MonotonicTime d
     }
     searched = s.read.size();
     if (s.read.size() > longest) return Outcome::too_long;
-    if (!wait_for(s.from.reader(), POLLIN, deadline)) return Outcome::late;
+    if (!wait_for(s.from.reader(), POLLIN, deadline, s.errors.reader())) {
+      errors();  // a child must not wait for room in the pipe of its stderr
+      if (std::chrono::steady_clock::now() >= deadline) return Outcome::late;
+      continue;
+    }
     const ssize_t n = ::read(s.from.reader(), block, sizeof(block));
     if (n > 0)
       s.read.append(block, static_cast<std::size_t>(n));
@@ -296,7 +304,7 @@ double ChildProcess::cpu_seconds() const { return state_->end ? 0.0 : cpu_second
 
 std::string ChildProcess::errors() {
   std::string& text = state_->error_text;
-  drain(state_->errors.reader(), text);
+  if (!drain(state_->errors.reader(), text)) state_->errors.close_reader();
   if (text.size() > kMostErrors) text.erase(0, text.size() - kMostErrors);
   return text;
 }

@@ -19,9 +19,9 @@ MonotonicTime seconds_from_now(double seconds);
 constexpr int kCrashReportFile = 3;
 
 struct ChildOptions {
-  std::vector<std::string> command;                              ///< program, searched in PATH, and its arguments
-  std::filesystem::path folder = {};                             ///< where it runs; empty: where this program runs
-  std::vector<std::pair<std::string, std::string>> environment;  ///< set for it on top of this program's variables
+  std::vector<std::string> command = {};                              ///< program, searched in PATH, and its arguments
+  std::filesystem::path folder = {};                                  ///< where it runs; empty: where this program runs
+  std::vector<std::pair<std::string, std::string>> environment = {};  ///< set for it on top of this program's variables
   bool own_group = false;     ///< ^C in the terminal does not reach it, and kill() ends what it started too
   bool keep_errors = false;   ///< errors() has the end of its stderr; otherwise it goes where this program's goes
   bool crash_report = false;  ///< it gets a pipe for its crash report

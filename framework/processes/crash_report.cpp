@@ -117,26 +117,30 @@ void fill(CrashReport& report, int signal, int exit_code, const void* crashed_at
   }
 }
 
-/// The text without a demangled name.
-void print(const CrashReport& report, char* text, std::size_t size, const char* function) {
-  const char* file = std::strrchr(report.library, '/');
-  file = file == nullptr ? report.library : file + 1;
-  char what[80];
+/// "SIGSEGV (Segmentation fault)", "a call of exit(0)".
+void print_signal(const CrashReport& report, char* text, std::size_t size) {
   const char* name = report.signal != 0 ? sigabbrev_np(report.signal) : nullptr;
   if (report.signal == 0)
-    std::snprintf(what, sizeof(what), "a call of exit(%d)", report.exit_code);
+    std::snprintf(text, size, "a call of exit(%d)", report.exit_code);
   else if (name == nullptr)
-    std::snprintf(what, sizeof(what), "signal %d", report.signal);
+    std::snprintf(text, size, "signal %d", report.signal);
   else
-    std::snprintf(what, sizeof(what), "SIG%s (%s)", name, sigdescr_np(report.signal));
-  const bool known = report.function[0] != 0, blamed = report.plugin[0] != 0, busy = report.where[0] != 0;
+    std::snprintf(text, size, "SIG%s (%s)", name, sigdescr_np(report.signal));
+}
+
+/// "plugin simulator cloth, weft::cloth::step() of libweft_simulator_cloth.so (simulator cloth, step(), planning)".
+/// @param function its name as people read it.
+void print_place(const CrashReport& report, const char* function, char* text, std::size_t size) {
+  const char* file = std::strrchr(report.library, '/');
+  file = file == nullptr ? report.library : file + 1;
+  const bool busy = report.where[0] != 0;
   char place[700] = "";
-  if (known)
+  if (report.function[0] != 0)
     std::snprintf(place, sizeof(place), ", %s of %s", function, file);
-  else if (blamed)
+  else if (report.plugin[0] != 0)
     std::snprintf(place, sizeof(place), ", %s+0x%llx", file, static_cast<unsigned long long>(report.offset));
-  std::snprintf(text, size, "%s%s%s%s%s%s%s", what, blamed ? " in plugin " : "", report.plugin, place, busy ? " (" : "",
-                report.where, busy ? ")" : "");
+  std::snprintf(text, size, "%s%s%s%s%s%s", report.plugin[0] != 0 ? "plugin " : "weft itself", report.plugin, place,
+                busy ? " (" : "", report.where, busy ? ")" : "");
 }
 
 void write_all(int file, const char* bytes, std::size_t size) {
@@ -173,9 +177,10 @@ void write_report(int signal, int exit_code, const void* crashed_at) {
     write_all(file, reinterpret_cast<const char*>(&report), sizeof(report));
     return;
   }
-  static char text[1500];
-  print(report, text, sizeof(text), report.function);
-  std::snprintf(line, sizeof(line), "error: %s\n", text);
+  static char what[80], place[1400];
+  print_signal(report, what, sizeof(what));
+  print_place(report, report.function, place, sizeof(place));
+  std::snprintf(line, sizeof(line), "error: %s in %s\n", what, place);
   // Names that people can read take memory from the heap. If that fails, the line above is printed.
   ends_with = signal == 0 ? SIGABRT : signal;
   struct sigaction plain {};
@@ -204,7 +209,7 @@ void on_exit_call(int code, void*) {
 
 }  // namespace
 
-std::string CrashReport::text() const {
+std::string CrashReport::place() const {
   std::string readable = function;
   int status = 0;
   const std::unique_ptr<char, decltype(&std::free)> plain(abi::__cxa_demangle(function, nullptr, nullptr, &status),
@@ -212,9 +217,15 @@ std::string CrashReport::text() const {
   if (status == 0 && plain) readable = plain.get();
   constexpr std::size_t kMost = 200;
   if (readable.size() > kMost) readable = readable.substr(0, kMost) + "...";
-  char text[1500];
-  print(*this, text, sizeof(text), readable.c_str());
+  char text[1400];
+  print_place(*this, readable.c_str(), text, sizeof(text));
   return text;
+}
+
+std::string CrashReport::text() const {
+  char what[80];
+  print_signal(*this, what, sizeof(what));
+  return what + (" in " + place());
 }
 
 bool read_crash_report(std::string_view bytes, CrashReport& report) {

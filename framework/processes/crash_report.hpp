@@ -27,6 +27,8 @@ struct CrashReport {
   /// "SIGSEGV (Segmentation fault) in plugin simulator cloth, weft::cloth::step(...) of libweft_simulator_cloth.so
   /// (simulator cloth, step(), planning, segment 3)". @param demangle takes memory from the heap.
   std::string text() const;
+  /// The same without the signal, for a process that was asked where it is: "plugin simulator cloth, ...".
+  std::string place() const;
 };
 /// What ChildProcess::crash_report() holds. @return false if it is no report.
 bool read_crash_report(std::string_view bytes, CrashReport& report);

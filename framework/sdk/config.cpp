@@ -12,27 +12,9 @@
 #include <set>
 #include <sstream>
 
+#include "sdk/config_data.hpp"
+
 namespace weft {
-
-struct ConfigNode::Data {
-  Kind kind = Kind::null;
-  std::string text;        // of a scalar
-  bool is_quoted = false;  // a scalar that is a string even if it looks like a number
-  std::vector<std::pair<std::string, ConfigNode>> entries;
-  std::vector<ConfigNode> items;
-  std::string file;  // for messages; empty: made by the program
-  int line = 0;
-  std::filesystem::path folder;
-  std::string path;
-};
-
-struct ConfigNodeAccess {
-  static ConfigNode make(ConfigNode::Data data) {
-    return ConfigNode(std::make_shared<const ConfigNode::Data>(std::move(data)));
-  }
-  static const ConfigNode::Data& data(const ConfigNode& node) { return *node.data_; }
-};
-
 namespace {
 
 using Access = ConfigNodeAccess;

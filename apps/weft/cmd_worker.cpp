@@ -1,0 +1,81 @@
+#include <algorithm>
+#include <atomic>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "commands.hpp"
+#include "experiments/cell_work.hpp"
+#include "experiments/experiment_config.hpp"
+#include "learning/example_bytes.hpp"
+#include "loader/program_host.hpp"
+#include "loader/where.hpp"
+#include "processes/child_process.hpp"
+#include "processes/crash_report.hpp"
+#include "processes/worker_process.hpp"
+#include "sdk/located_config.hpp"
+#include "simulation/task_config.hpp"
+
+namespace weft::app {
+namespace {
+
+std::atomic<bool> cancelled = false;  // set in a signal handler
+
+/// Makes examples. Task and simulator stay from one request to the next.
+class ExampleServer {
+ public:
+  std::string answer(const nlohmann::ordered_json& request) try {
+    const auto setup = request.at("config").get<std::string>() + request.at("plugin_path").get<std::string>();
+    if (!simulator_ || setup != setup_) {
+      simulator_.reset();
+      const ConfigNode config = read_located_json(request.at("config").get<std::string>());
+      params_ = ExperimentParams();
+      read_params(config, params_);
+      HostOptions options;
+      options.threads = 1;
+      options.seed = static_cast<std::uint64_t>(params_.seed);
+      options.cancel = &cancelled;
+      host_ = make_host(registry_of_request(request.at("plugin_path").get<std::string>()), options);
+      task_ = make_task(params_.task, config, *host_);
+      simulator_ = host_->create<Simulator>(task_->simulator);
+      setup_ = setup;
+    }
+    const auto index = request.at("index").get<std::int64_t>();
+    const auto seed = static_cast<std::uint64_t>(params_.seed);
+    return example_to_hex(make_example(*simulator_, *task_, params_.data, seed, index));
+  } catch (...) {
+    std::string line = std::string(kNoExample) + current_failure().message;
+    std::replace(line.begin(), line.end(), '\n', ' ');
+    return line;
+  }
+
+ private:
+  std::string setup_;
+  ExperimentParams params_;
+  std::unique_ptr<Host> host_;
+  std::optional<Task> task_;
+  std::shared_ptr<Simulator> simulator_;
+};
+
+/// A process that ablate, evaluate and generate start for their cells and examples.
+int work() {
+  install_crash_report(kCrashReportFile, write_where);
+  CellServer cells(&cancelled);
+  ExampleServer examples;
+  serve_work(
+      [&](const std::string& text) {
+        const auto request = nlohmann::ordered_json::parse(text);
+        return request.at("kind") == "example" ? examples.answer(request) : cells.answer(text);
+      },
+      cancelled);
+  return 0;
+}
+
+}  // namespace
+
+void register_worker(CLI::App& app, Context& context) {
+  CLI::App* command = app.add_subcommand("worker", "Does the work of another weft process, which starts it");
+  command->group("");  // not for people: it reads requests from stdin
+  command->callback([&context] { context.action = [] { return work(); }; });
+}
+
+}  // namespace weft::app

@@ -1,0 +1,68 @@
+#include "work_options.hpp"
+
+#include <algorithm>
+#include <cstdio>
+
+#include "options.hpp"
+#include "processes/worker_process.hpp"
+
+namespace weft::app {
+
+Retry WorkOptions::retry() const {
+  if (retry_failed.empty()) return Retry::none;
+  return retry_failed == "all" ? Retry::all : Retry::accidents;
+}
+
+std::vector<std::string> WorkOptions::worker() const {
+  return in_process ? std::vector<std::string>() : this_program({"worker"});
+}
+
+void WorkOptions::apply(SweepOptions& sweep) const {
+  sweep.worker = worker();
+  sweep.retry = retry();
+  sweep.fail_fast = fail_fast;
+  sweep.cell_limit_s = cell_limit_s;
+}
+
+std::string failure_text(const SweepRow& row) { return std::string(to_string(row.status)) + ": " + row.failure; }
+
+int sweep_exit_code(const Context& context, const std::vector<std::vector<SweepRow>>& sweeps, std::size_t cells) {
+  std::vector<WorkStatus> statuses;
+  for (const auto& rows : sweeps)
+    for (const auto& row : rows) statuses.push_back(row.status);
+  warn_of_failures(statuses, cells, "cells");
+  const bool complete = statuses.size() == cells;
+  if (!complete) context.say("interrupted; run the same command again to finish it");
+  return complete && failures_text(statuses).empty() ? 0 : 1;
+}
+
+void add_work_options(CLI::App& command, const std::string& unit, WorkOptions& options) {
+  const std::string units = unit + "s";
+  command
+      .add_flag("--retry-failed{accidents}", options.retry_failed,
+                "Try " + units +
+                    " again that crashed, hung or were lost; --retry-failed=all: also those that were refused or "
+                    "diverged")
+      ->check(CLI::IsMember({"accidents", "all"}));
+  command.add_flag("--fail-fast", options.fail_fast, "Stop after the first " + unit + " that fails");
+  command
+      .add_option("--cell-limit", options.cell_limit_s,
+                  "CPU seconds after which one " + unit +
+                      " counts as hung; default: 20 times the slowest that has ended, and at least 600")
+      ->check(within(0.0, 1e9))
+      ->type_name("S");
+  command.add_flag("--in-process", options.in_process,
+                   "Work in threads of this process, for a debugger: a crash ends everything");
+}
+
+void warn_of_failures(const std::vector<WorkStatus>& statuses, std::size_t total, const std::string& what) {
+  const std::string failures = failures_text(statuses);
+  if (failures.empty()) return;
+  const auto failed = std::count_if(statuses.begin(), statuses.end(), [](auto s) { return s != WorkStatus::done; });
+  const bool accidents =
+      std::any_of(statuses.begin(), statuses.end(), [](auto s) { return tries_again(Retry::accidents, s); });
+  std::fprintf(stderr, "warning: %td of %zu %s failed: %s; %s tries them again\n", failed, total, what.c_str(),
+               failures.c_str(), accidents ? "--retry-failed" : "--retry-failed=all");
+}
+
+}  // namespace weft::app

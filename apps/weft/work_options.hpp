@@ -1,0 +1,38 @@
+#pragma once
+#include <string>
+#include <vector>
+
+#include "context.hpp"
+#include "experiments/sweep.hpp"
+#include "processes/work_status.hpp"
+
+namespace weft::app {
+
+/// The options of the commands that do many units of work: cells of a sweep, examples of a dataset.
+struct WorkOptions {
+  std::string retry_failed;  ///< "accidents" for the bare option, or all
+  bool fail_fast = false;
+  double cell_limit_s = 0.0;
+  bool in_process = false;
+
+  Retry retry() const;
+  /// Sets what they say in the options of a sweep, and that child processes run its cells.
+  void apply(SweepOptions& sweep) const;
+  /// The command of the child processes that do the work; empty: this process does it.
+  std::vector<std::string> worker() const;
+};
+/// @param unit "cell" or "example".
+void add_work_options(CLI::App& command, const std::string& unit, WorkOptions& options);
+
+/// "crashed: SIGSEGV in plugin ...".
+std::string failure_text(const SweepRow& row);
+
+/// The exit code of a command after its sweeps: 1 unless all cells are there and done. Says what is not.
+/// @param cells asked for.
+int sweep_exit_code(const Context& context, const std::vector<std::vector<SweepRow>>& sweeps, std::size_t cells);
+
+/// One line on stderr, also with --quiet: how many failed, how, and what to do. Nothing if none did.
+/// @param what "cells", "examples".
+void warn_of_failures(const std::vector<WorkStatus>& statuses, std::size_t total, const std::string& what);
+
+}  // namespace weft::app

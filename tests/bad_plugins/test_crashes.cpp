@@ -1,0 +1,99 @@
+// What a crash, a hang or a call of exit() in a plugin costs: one cell, and a message that names the plugin.
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "unit/test_program.hpp"
+#include "unit/test_support.hpp"
+
+namespace weft {
+namespace {
+
+using test::Folder;
+using test::Outcome;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+const std::string kTask = "garment: " WEFT_SOURCE_DIR
+                          "/configs/garments/towel_coarse.yaml\n"
+                          "material: " WEFT_SOURCE_DIR
+                          "/configs/fabrics/basic.yaml\n"
+                          "manipulation: {grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}\n"
+                          "predictor: {plugin: rollout}\n"
+                          "goal: {random: {min_distance_mm: 10}}\n"
+                          "settle: {max_frames: 30}\n"
+                          "planning: {instances: 1, iterations: 1, replan_iterations: 0, horizon: 12}\n";
+
+Outcome weft_command(const std::string& arguments) {
+  return test::run_shell("WEFT_PLUGIN_PATH='" WEFT_BAD_PLUGINS "' '" WEFT_PROGRAM "' " + arguments);
+}
+std::string misbehaving(const std::string& how) { return "{plugin: misbehaves, params: {how: " + how + "}}"; }
+
+TEST(Misbehaving, RunNamesThePluginAndTheCall) {
+  const Folder folder;
+  const auto task = folder.write("task.yaml", kTask + "optimiser: {plugin: rprop}\n");
+  const auto run = [&](const std::string& how) {
+    return weft_command("run '" + task.string() + "' --quiet --out '" + (folder / "out").string() +
+                        "' --set optimiser='" + misbehaving(how) + "'");
+  };
+  const Outcome segv = run("segv");
+  EXPECT_EQ(segv.code, 128 + 11) << segv.output;
+  EXPECT_THAT(segv.output, AllOf(HasSubstr("error: SIGSEGV"), HasSubstr("plugin optimiser misbehaves"),
+                                 HasSubstr("write_nowhere"), HasSubstr("minimise()")));
+  const Outcome overflow = run("overflow");
+  EXPECT_THAT(overflow.output, AllOf(HasSubstr("error: SIGSEGV"), HasSubstr("plugin optimiser misbehaves")));
+  const Outcome left = run("exit");
+  EXPECT_EQ(left.code, 1) << left.output;
+  EXPECT_THAT(left.output, AllOf(HasSubstr("a call of exit(0)"), HasSubstr("plugin optimiser misbehaves")));
+  EXPECT_THAT(run("abort").output, AllOf(HasSubstr("error: SIGABRT"), HasSubstr("plugin optimiser misbehaves")));
+  const Outcome thrown = run("throw");
+  EXPECT_EQ(thrown.code, 1);
+  EXPECT_THAT(thrown.output, AllOf(HasSubstr("misbehaves"), HasSubstr("not a std::exception")));
+}
+
+TEST(Misbehaving, CostsItsCellOnly) {
+  const Folder folder;
+  folder.write("task.yaml", kTask);
+  std::string factors = "task: task.yaml\nseeds: [1]\nfactors:\n  optimiser:\n    good: {optimiser: {plugin: rprop}}\n";
+  for (const char* how : {"segv", "abort", "exit", "throw", "thread_throws", "loop"})
+    factors += std::string("    ") + how + ": {optimiser: " + misbehaving(how) + "}\n";
+  const auto file = folder.write("ablation.yaml", factors);
+  const std::string command = "ablate '" + file.string() + "' --out '" + (folder / "out").string() + "' --jobs 2 ";
+  const Outcome first = weft_command(command + "--cell-limit 3 --quiet");
+  EXPECT_EQ(first.code, 1);
+  EXPECT_THAT(first.output, HasSubstr("warning: 6 of 7 cells failed: 1 refused, 4 crashed, 1 hung; --retry-failed"));
+  std::ifstream stream(folder / "out/ablation.json");
+  const auto json = nlohmann::json::parse(stream);
+  const auto failure = [&](const std::string& name) {
+    for (const auto& arm : json.at("arms"))
+      if (arm.at("name") == name && arm.at("failed").size() == 1) return arm.at("failed").at(0);
+    return nlohmann::json{{"status", "done"}, {"failure", ""}};
+  };
+  const auto text = [&](const std::string& name) {
+    return failure(name).at("status").get<std::string>() + ": " + failure(name).at("failure").get<std::string>();
+  };
+  EXPECT_EQ(text("good"), "done: ");
+  const auto blamed = HasSubstr("plugin optimiser misbehaves");
+  EXPECT_THAT(text("segv"),
+              AllOf(HasSubstr("crashed: SIGSEGV"), blamed, HasSubstr("write_nowhere"), HasSubstr("minimise")));
+  EXPECT_THAT(text("abort"), AllOf(HasSubstr("crashed: SIGABRT"), blamed));
+  EXPECT_THAT(text("exit"), AllOf(HasSubstr("crashed: a call of exit(0)"), blamed));
+  EXPECT_THAT(text("throw"), AllOf(HasSubstr("refused: "), HasSubstr("misbehaves")));
+  EXPECT_THAT(text("thread_throws"), AllOf(HasSubstr("crashed: SIGABRT"), blamed, HasSubstr("from a thread")));
+  EXPECT_THAT(text("loop"), AllOf(HasSubstr("hung: used 3 s of CPU time"), blamed, HasSubstr("turn_for_ever")));
+
+  // Nothing is run again unless it is asked for; then what crashed or hung is, and what was refused is not.
+  const Outcome again = weft_command(command);
+  EXPECT_EQ(again.code, 1);
+  EXPECT_THAT(again.output, Not(HasSubstr("/7  ")));
+  const Outcome retried = weft_command(command + "--retry-failed --cell-limit 3");
+  EXPECT_EQ(retried.code, 1);
+  EXPECT_THAT(retried.output, AllOf(HasSubstr("7/7  "), HasSubstr("segv, seed 1: crashed: SIGSEGV"),
+                                    Not(HasSubstr("throw, seed 1: refused")), Not(HasSubstr("good, seed 1"))));
+  const Outcome all = weft_command(command + "--retry-failed=all --fail-fast --cell-limit 3");
+  EXPECT_EQ(all.code, 1);
+  EXPECT_THAT(all.output, HasSubstr("interrupted; run the same command again"));
+}
+
+}  // namespace
+}  // namespace weft
