@@ -2,7 +2,7 @@
 """An environment of weft that replays a recorded session (docs/environment-protocol.md):
 
 weft export RECORDED --to csv --every 12 --out replay
-weft run TASK --set environment.command=[python3,replay_environment.py,replay/csv/vertices.csv] --set knowledge=none
+weft run TASK --set environment.command=[python3,replay_environment.py,replay/vertices.csv] --set knowledge=none
 """
 import csv
 import json

@@ -65,7 +65,7 @@ class Tree:
             if bracket == "<" and target:
                 self.problems.append(f'{file}:{number}: <{name}> is a file of ours, write "{name}"')
             elif bracket == '"' and not target and name not in GENERATED:
-                self.problems.append(f'{file}:{number}: "{name}" is no file of this tree')
+                self.problems.append(f'{file}:{number}: "{name}" is not a file of this tree')
             if target:
                 self.includes[file].append((number, target))
 
@@ -146,7 +146,7 @@ class Document:
                     self.problems.append(f"{DOCUMENT}: two rows for {name}")
                 self.allowed[name] = code_words(cells[2]) if len(cells) > 2 else []
         if not self.allowed:
-            self.problems.append(f"{DOCUMENT}: there is no table | room | holds | may include |")
+            self.problems.append(f"{DOCUMENT}: the table | room | holds | may include | is missing")
         self.alone = set(re.findall(r"^- `(framework/[^`]+)`: ", text, re.M))
         count = re.search(r"(\d+) rooms, (\d+) levels, (\d+) edges", text)
         self.count = tuple(map(int, count.groups())) if count else None
@@ -158,7 +158,7 @@ def check_table(tree, document):
     for room in sorted(rows - set(document.allowed)):
         yield f"{DOCUMENT}: the table has no row for {room}"
     for row in sorted(set(document.allowed) - rows):
-        yield f"{DOCUMENT}: the table has a row for {row}, which is no room of this tree"
+        yield f"{DOCUMENT}: the table has a row for {row}, which is not a room of this tree"
     for (room, other), place in sorted(edges.items()):
         if other not in document.allowed.get(room, []):
             yield f"{place}: {room} includes {other}, which the table in {DOCUMENT} does not allow"
@@ -243,7 +243,7 @@ def check_readme(tree):
         if room not in named:
             yield f"README.md: the layout table does not name the room {room}"
     for name in sorted(named - set(tree.rooms)):
-        yield f"README.md: the layout table names {name}, which is no room of this tree"
+        yield f"README.md: the layout table names {name}, which is not a room of this tree"
 
 
 def check(root):
@@ -251,7 +251,7 @@ def check(root):
     tree = Tree(root)
     file = root / DOCUMENT
     if not file.is_file() or not (root / "README.md").is_file() or not tree.files:
-        return [f"{root} is no source tree of weft: it lacks {DOCUMENT}, README.md or sources"]
+        return [f"{root} is not a source tree of weft: it lacks {DOCUMENT}, README.md or sources"]
     document = Document(file.read_text(encoding="utf-8"))
     circles = list(check_circles(tree))
     problems = tree.problems + document.problems + list(check_table(tree, document)) + circles

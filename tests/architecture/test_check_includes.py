@@ -52,7 +52,7 @@ GOOD = {
     "apps/weft/options.hpp": '#pragma once\n#include "session/session.hpp"\n',
     "plugins/trajectory/arc/arc.hpp": '#pragma once\n#include "weft/types.hpp"\n',
     "plugins/trajectory/arc/arc.cpp": '#include "arc.hpp"\n',
-    "plugins/trajectory/spline/spline.cpp": '// #include "arc.hpp" is no include\n#include "weft/error.hpp"\n',
+    "plugins/trajectory/spline/spline.cpp": '// #include "arc.hpp" is not an include\n#include "weft/error.hpp"\n',
 }
 
 
@@ -100,7 +100,7 @@ class CheckIncludes(unittest.TestCase):
         self.expect_among("docs/architecture.md: the table has no row for meshes", {"framework/meshes/mesher.cpp": "\n"})
 
     def test_a_row_without_a_room(self):
-        self.expect("docs/architecture.md: the table has a row for report, which is no room of this tree",
+        self.expect("docs/architecture.md: the table has a row for report, which is not a room of this tree",
                     self.document("| `apps` |", "| `report` | pages | |\n| `apps` |"))
 
     def test_two_rows_for_a_room(self):
@@ -108,7 +108,7 @@ class CheckIncludes(unittest.TestCase):
                     self.document("| `apps` |", "| `sdk` | again | `weft` |\n| `apps` |"))
 
     def test_a_document_without_the_table(self):
-        self.expect_among("docs/architecture.md: there is no table | room | holds | may include |",
+        self.expect_among("docs/architecture.md: the table | room | holds | may include | is missing",
                           self.document("| room | holds | may include |", "| room | what it holds | may include |"))
 
     def test_rooms_in_a_circle_that_the_table_allows(self):
@@ -180,7 +180,7 @@ class CheckIncludes(unittest.TestCase):
                     {"README.md": GOOD["README.md"].replace("`loader/`, ", "")})
 
     def test_the_readme_names_a_room_that_is_none(self):
-        self.expect("README.md: the layout table names meshes, which is no room of this tree",
+        self.expect("README.md: the layout table names meshes, which is not a room of this tree",
                     {"README.md": GOOD["README.md"].replace("`loader/`, ", "`loader/`, `meshes/`, ")})
 
     def test_a_readme_without_the_table(self):
@@ -192,11 +192,11 @@ class CheckIncludes(unittest.TestCase):
                     {"plugins/trajectory/arc/arc.hpp": "#include <weft/types.hpp>\n"})
 
     def test_an_include_that_leads_nowhere(self):
-        self.expect('plugins/trajectory/arc/arc.hpp:2: "weft/typos.hpp" is no file of this tree',
+        self.expect('plugins/trajectory/arc/arc.hpp:2: "weft/typos.hpp" is not a file of this tree',
                     {"plugins/trajectory/arc/arc.hpp": '#pragma once\n#include "weft/typos.hpp"\n'})
 
     def test_a_folder_without_sources_is_refused(self):
-        self.assertRegex(self.check({name: None for name in GOOD if name.endswith("pp")})[0], "is no source tree of weft")
+        self.assertRegex(self.check({name: None for name in GOOD if name.endswith("pp")})[0], "is not a source tree of weft")
 
     def test_exit_codes(self):
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

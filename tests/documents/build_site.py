@@ -2,7 +2,7 @@
 """Builds the documents as a site: build_site.py ROOT WORK writes WORK/site, which opens from the disk.
 
 Copies docs/, the Markdown files of the root and the README of every plugin into WORK/docs, as mkdocs wants all pages in
-one folder, mends the links between them, and runs `mkdocs build --strict`. A link to a file that is no page of the site
+one folder, mends the links between them, and runs `mkdocs build --strict`. A link to a file that is not a page of the site
 becomes the file's name as code. Every page must be in the navigation of mkdocs.yml.
 """
 import os
@@ -12,13 +12,13 @@ import shutil
 import subprocess
 import sys
 
-import yaml  # mkdocs needs it, too
+import yaml  # also needed by mkdocs
 
 from check_documents import LINK, documents
 
 
 def site_name(name):
-    """Where a file of the source tree lies on the site; None if it is no part of it."""
+    """Where a file of the source tree lies on the site; None if it is not part of the site."""
     pages = {"README.md": "readme/weft.md", "CHANGELOG.md": "changes.md", "MIGRATION.md": "migration.md"}
     if match := re.fullmatch(r"plugins/(\w+)/(\w+)/README\.md", name):
         return f"plugins/{match[1]}/{match[2]}.md"

@@ -17,7 +17,7 @@ so a comparison that was interrupted goes on where it stopped. The commands run 
 
 Compared are values: every number of a JSON file, every cell of a CSV file, every dataset of an HDF5 file. Left out is
 what may differ between equal runs (seconds) or trees (commit, saved config, identity of a dataset). Something that only
-the new tree writes is named but is no difference. The table goes to stdout and to OUT/comparison.txt.
+the new tree writes is named but does not count as a difference. The table goes to stdout and to OUT/comparison.txt.
 Exit code 0: all equal; 1: something differs or failed; 2: wrong use. Needs h5ls and h5diff (Debian: hdf5-tools).
 """
 
@@ -97,7 +97,7 @@ class Tree:
         self.weft = self.build / "bin" / "weft"
         cache = self.build / "CMakeCache.txt"
         if not self.weft.is_file() or not cache.is_file():
-            raise SystemExit2(f"{build} is no build folder of weft: it has no bin/weft or no CMakeCache.txt")
+            raise SystemExit2(f"{build} is not a build folder of weft: it has no bin/weft or no CMakeCache.txt")
         source = re.search(r"^CMAKE_HOME_DIRECTORY:INTERNAL=(.*)$", cache.read_text(), re.M)
         self.configs = Path(source.group(1)) / "configs"
         self.state = self._hash()
@@ -307,13 +307,13 @@ def main(arguments):
     parser.add_argument("--run", default="", help="only the run of this name, such as 5001 or bullet")
     parser.add_argument("--base-only", action="store_true", help="compute the base's results and compare nothing")
     parser.add_argument("--module", default="", help="module file for the session with predictor torchscript")
-    parser.add_argument("--jobs", type=int, default=0, help="threads of each command; 0: all cores")
+    parser.add_argument("--jobs", type=int, default=0, help="threads of each command; 0: all that it may use")
     options = parser.parse_args(arguments)
     pieces = options.only.split(",")
     try:
         wrong = [piece for piece in pieces if piece not in PIECES]
         if wrong:
-            raise SystemExit2(f"there is no piece {wrong[0]}; pieces: {', '.join(PIECES)}")
+            raise SystemExit2(f"no piece is called {wrong[0]}; pieces: {', '.join(PIECES)}")
         if len(options.folders) != (2 if options.base_only else 3):
             raise SystemExit2("give BASE_BUILD NEW_BUILD OUT, or with --base-only BASE_BUILD OUT")
         for program in ("h5ls", "h5diff"):

@@ -162,10 +162,10 @@ class CompareTrees(unittest.TestCase):
         self.assertIn("needs examples-64, which is not there", self.compare("--only", "training", code=1))
 
     def test_wrong_use(self):
-        self.assertIn("there is no piece seed; pieces: seeds", self.compare("--only", "seed", code=2))
+        self.assertIn("no piece is called seed; pieces: seeds", self.compare("--only", "seed", code=2))
         self.assertIn("no run of seeds is called 7", self.compare("--only", "seeds", "--run", "7", code=2))
         (self.folder / "new" / "bin" / "weft").unlink()
-        self.assertIn("is no build folder of weft", self.compare(code=2))
+        self.assertIn("is not a build folder of weft", self.compare(code=2))
 
 
 if __name__ == "__main__":
