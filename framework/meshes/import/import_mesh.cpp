@@ -135,6 +135,7 @@ std::string counted(std::int64_t count, const std::string& word, const std::stri
 
 std::string length_text(double metres) {
   char text[40];
+  if (std::abs(metres) < 1e-9) metres = 0.0;  // rounding, no length
   if (std::abs(metres) < 0.1) {
     std::snprintf(text, sizeof text, "%.3g mm", 1e3 * metres);
   } else {
