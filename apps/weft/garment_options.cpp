@@ -43,23 +43,23 @@ void read_fine_lines(MeshSize& size, const std::vector<std::string>& fine_lines)
 std::string recorded_command(const CLI::App& command, const std::string& words) {
   std::string line = words;
   for (const CLI::Option* option : command.get_options()) {
-    if (option->count() == 0 || option->get_name() == "--help" || option->get_name() == "--quiet" ||
-        option->get_name() == "--json") {
+    if (!option->get_positional()) continue;
+    for (const std::string& value : option->results()) line += ' ' + std::filesystem::path(value).filename().string();
+  }
+  for (const CLI::Option* option : command.get_options()) {
+    const std::string name = option->get_name();
+    if (option->get_positional() || option->count() == 0 || name == "--help" || name == "--quiet" || name == "--json")
       continue;
-    }
-    const bool positional = option->get_positional();
-    const bool is_path = positional || option->get_name() == "--out";
-    const auto name = positional ? std::string() : ' ' + option->get_name();
     if (option->get_items_expected_max() == 0) {  // a flag
-      line += name;
+      line += ' ' + name;
       continue;
     }
     const bool one_name = option->get_items_expected_min() > 1;  // --grasp A B; others are repeated with each value
     bool first = true;
     for (const std::string& value : option->results()) {
-      if (first || !one_name) line += name;
+      if (first || !one_name) line += ' ' + name;
       first = false;
-      line += ' ' + (is_path ? std::filesystem::path(value).filename().string() : value);
+      line += ' ' + (name == "--out" ? std::filesystem::path(value).filename().string() : value);
     }
   }
   return line;
