@@ -3,6 +3,7 @@
 #include <sstream>
 
 #include "commands.hpp"
+#include "garment_options.hpp"
 #include "meshes/mesher.hpp"
 #include "options.hpp"
 #include "sdk/files.hpp"
@@ -38,16 +39,6 @@ struct Request {
   std::string command_line;  ///< makes the same files again; without folders
 };
 
-MeshSize::Line parse_line(const std::string& text) {
-  double x0 = 0, y0 = 0, x1 = 0, y1 = 0;
-  int used = 0;
-  if (std::sscanf(text.c_str(), "%lf,%lf,%lf,%lf%n", &x0, &y0, &x1, &y1, &used) != 4 ||
-      static_cast<std::size_t>(used) != text.size() || !Vec2(x0, y0).allFinite() || !Vec2(x1, y1).allFinite()) {
-    throw ConfigError("--fine-line = " + text + ", must be x0,y0,x1,y1 in metres");
-  }
-  return {Vec2(x0, y0), Vec2(x1, y1)};
-}
-
 void write_yaml(const std::filesystem::path& path, const Request& request, const GeneratedMesh& result,
                 const std::string& mesh_file) {
   std::ostringstream out;
@@ -69,10 +60,7 @@ int run_garment(const Context& context, Request request) {
   if (context.out.empty()) throw ConfigError("weft garment: --out FILE.obj is required");
   std::filesystem::path mesh_path = context.out;
   if (mesh_path.extension() != ".obj") throw ConfigError("--out = " + context.out + ", must end in .obj");
-  for (const auto& line : request.fine_lines) request.size.fine_lines.push_back(parse_line(line));
-  if (request.size.fine_edge_m > 0.0 && request.size.fine_lines.empty()) {
-    request.size.fine_lines.push_back({Vec2(0.0, -10.0), Vec2(0.0, 10.0)});
-  }
+  read_fine_lines(request.size, request.fine_lines);
   GeneratedMesh result = generate_mesh(request.outline(), request.size);
   if (mesh_path.has_parent_path()) std::filesystem::create_directories(mesh_path.parent_path());
   write_obj(mesh_path, result.mesh);
@@ -103,23 +91,6 @@ int run_garment(const Context& context, Request request) {
   return 0;
 }
 
-/// The given options as they were typed, without the folder of --out.
-std::string recorded_command(const CLI::App& command, const std::string& kind) {
-  std::string line = "weft garment " + kind;
-  for (const CLI::Option* option : command.get_options()) {
-    if (option->count() == 0 || option->get_name() == "--help" || option->get_name() == "--quiet" ||
-        option->get_name() == "--json") {
-      continue;
-    }
-    for (const std::string& value : option->results()) {
-      line += ' ' + option->get_name();
-      if (option->get_name() == "--yaml") break;
-      line += ' ' + (option->get_name() == "--out" ? std::filesystem::path(value).filename().string() : value);
-    }
-  }
-  return line;
-}
-
 template <class Size>
 void add_kind(CLI::App& garment, Context& context, const std::string& kind, const std::string& text,
               const Size& defaults, Outline (*outline)(const Size&)) {
@@ -134,21 +105,10 @@ void add_kind(CLI::App& garment, Context& context, const std::string& kind, cons
   command->add_option("--edge", request->size.edge_m, "Edge length [m]")
       ->check(within(1e-4, 1.0))
       ->capture_default_str();
-  command->add_option("--fine", request->size.fine_edge_m, "Edge length near the fine lines [m]; 0: uniform")
-      ->check(within(0.0, 1.0));
-  command
-      ->add_option("--fine-band", request->size.fine_band_m, "Distance to a fine line up to which edges are fine [m]")
-      ->check(within(0.0, 10.0));
-  command
-      ->add_option("--fine-line", request->fine_lines,
-                   "x0,y0,x1,y1 [m]: where folds run (repeatable); default the vertical middle line")
-      ->allow_extra_args(false);
-  command->add_option("--growth", request->size.growth, "Growth of the edge length away from the band [m per m]")
-      ->check(within(0.01, 1.0))
-      ->capture_default_str();
+  add_fine_options(*command, request->size, request->fine_lines);
   command->add_flag("--yaml", request->yaml, "Write the garment's YAML (named vertices) beside the mesh, too");
   command->callback([&context, command, request, kind] {
-    request->command_line = recorded_command(*command, kind);
+    request->command_line = recorded_command(*command, "weft garment " + kind);
     context.action = [&context, request] { return run_garment(context, *request); };
   });
 }
@@ -156,13 +116,14 @@ void add_kind(CLI::App& garment, Context& context, const std::string& kind, cons
 }  // namespace
 
 void register_garment(CLI::App& app, Context& context) {
-  CLI::App* garment =
-      app.add_subcommand("garment", "Generate a flat garment mesh: weft garment tshirt --out FILE.obj --yaml");
+  CLI::App* garment = app.add_subcommand("garment", "Import, look at, or generate a garment: weft garment import FILE");
   garment->require_subcommand(1);
   add_kind<TowelSize>(*garment, context, "towel", "A rectangle", {}, towel_outline);
   add_kind<ShirtSize>(*garment, context, "tshirt", "A shirt with short sleeves", {}, shirt_outline);
   add_kind<ShirtSize>(*garment, context, "long_sleeve", "A shirt with long sleeves", long_sleeve_size(), shirt_outline);
   add_kind<TrousersSize>(*garment, context, "trousers", "Trousers", {}, trousers_outline);
+  register_garment_import(*garment, context);
+  register_garment_show(*garment, context);
 }
 
 }  // namespace weft::app

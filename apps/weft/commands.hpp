@@ -23,6 +23,10 @@ void register_describe(CLI::App& app, Context& context);
 void register_new(CLI::App& app, Context& context);
 void register_worker(CLI::App& app, Context& context);
 
+// Below `weft garment`.
+void register_garment_import(CLI::App& garment, Context& context);
+void register_garment_show(CLI::App& garment, Context& context);
+
 // Below `weft evaluate`.
 void register_evaluate_physics(CLI::App& evaluate, Context& context);
 void register_evaluate_prediction(CLI::App& evaluate, Context& context);

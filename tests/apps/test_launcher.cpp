@@ -126,6 +126,23 @@ TEST_F(Launcher, InstallsWhatIsMissingAndSaysWhatAndWhy) {
   EXPECT_THAT(log(), HasSubstr("install -y --no-install-recommends libhdf5-dev libgtest-dev\n"));
 }
 
+TEST_F(Launcher, GetsAssimpForTheFilesThatNeedItAlone) {
+  tool("dpkg-query", "shift 3; for p; do test $p = libassimp-dev || echo \"installed $p\"; done; exit 1");
+  for (const char* without : {"plugins", "garment import 'my shirt.obj'", "garment show x.yaml", "run shirt.ply"}) {
+    launch(without);
+    EXPECT_THAT(log(), Not(HasSubstr("libassimp-dev"))) << without;
+  }
+  launch("garment import 'my shirt.PLY' --units cm");
+  EXPECT_THAT(log(), HasSubstr("install -y --no-install-recommends libassimp-dev\n"));
+  // A build that was configured without it is configured again.
+  test::run_shell("echo 'assimp_DIR:PATH=assimp_DIR-NOTFOUND' >> '" +
+                  (folder_ / "tree/build/release/CMakeCache.txt").string() + "'");
+  launch("garment import shirt.obj");
+  EXPECT_THAT(log(), Not(HasSubstr("cmake ")));
+  launch("garment import shirt.stl");
+  EXPECT_THAT(log(), HasSubstr("cmake -S "));
+}
+
 TEST_F(Launcher, WithoutRootPrintsTheOneLineToRun) {
   tool("dpkg-query", "exit 1");
   tool("id", "echo 1000");

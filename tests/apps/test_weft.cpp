@@ -71,6 +71,13 @@ TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
       {"evaluate fig3 x.yaml", "'fig3' is not a command of weft evaluate, must be one of "},
       {"garment towl --out x.obj", "'towl' is not a command of weft garment, must be one of towel, tshirt, "},
       {"plan x.yaml --session y --segment 0", "--segment: 0, must be at least 1"},
+      {"garment import nofile.obj", "nofile.obj: no such file"},
+      {"garment import x.fbx", "x.fbx: must be an .obj, .ply, .stl, .gltf or .glb mesh"},
+      {"garment import x.obj --remesh 0", "--remesh: 0, must be in ["},
+      {"garment import x.obj --fine 0.01", "--fine needs --remesh EDGE"},
+      {"garment import x.obj --name left", "--name = left, must be NAME=VERTEX"},
+      {"garment import x.obj --grasp 1", "--grasp"},
+      {"garment show nofile.obj --name a=1", "nofile.obj: no such file"},
       {"garment towel --out x.obj --width nan", "--width: nan, must be in ["},
       {"evaluate planning x.yaml --widths nan", "--widths: nan, must be in [0, 1]"},
       {"evaluate planning x.yaml --widths 0.1 0.2 0.1", "--widths names 0.1 twice"},
@@ -105,6 +112,86 @@ TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
     EXPECT_EQ(outcome.code, 2) << arguments;
     EXPECT_THAT(outcome.output, HasSubstr(expected)) << arguments;
   }
+}
+
+/// A sheet of 60 x 60 cm in 36 quads, standing, with y up.
+std::string sheet_in_centimetres() {
+  std::string vertices, faces;
+  for (int j = 0; j <= 6; ++j) {
+    for (int i = 0; i <= 6; ++i) vertices += "v " + std::to_string(10 * i) + " 97 " + std::to_string(10 * j) + "\n";
+  }
+  for (int j = 0; j < 6; ++j) {
+    for (int i = 1; i <= 6; ++i) {
+      const int a = 7 * j + i;
+      faces += "f";
+      for (const int v : {a, a + 1, a + 8, a + 7}) faces += ' ' + std::to_string(v);
+      faces += '\n';
+    }
+  }
+  return vertices + faces;
+}
+
+TEST(Program, ImportsAGarmentWithATaskThatFolds) {
+  const Folder folder;
+  const std::string file = folder.write("my sheet.obj", sheet_in_centimetres()).string();
+  const std::string out = (folder / "out").string();
+  const Outcome import =
+      weft_command("garment import '" + file + "' --json --name 'middle=nearest(0.3,-0.3)' --out '" + out + "'");
+  ASSERT_EQ(import.code, 0) << import.output;
+  const auto json = nlohmann::json::parse(import.output);
+  EXPECT_EQ(json.at("garment"), "my_sheet");
+  EXPECT_TRUE(json.at("foldable"));
+  EXPECT_EQ(json.at("faces"), 72);
+  EXPECT_EQ(json.at("named").at("middle"), 24);
+  EXPECT_EQ(json.at("grasp"), nlohmann::json({"left_top", "left_bottom"}));
+  // Tuned: a fold in two moves the hands by about the width, and the folded half lies on the other one.
+  EXPECT_NEAR(json.at("displacement_m").at(0), 0.6, 0.1);
+  EXPECT_LT(json.at("misfit_mm"), 60.0);
+  for (const auto& name : json.at("files"))
+    EXPECT_TRUE(std::filesystem::exists(folder / "out" / std::string(name))) << name;
+  EXPECT_EQ(nlohmann::json::parse(text_of(folder / "out/import.json")).at("vertex_of").size(), 49u);
+  EXPECT_THAT(text_of(folder / "out/my_sheet.yaml"),
+              HasSubstr("# Made by: weft garment import my sheet.obj --name middle="));
+  const Outcome run =
+      weft_command("run '" + out +
+                   "/my_sheet_fold.yaml' --seed 1 --set planning.instances=1 --set "
+                   "planning.iterations=1 --set planning.replan_iterations=0 --set settle.max_frames=30 "
+                   "--out '" +
+                   out + "/run'");
+  EXPECT_EQ(run.code, 0) << run.output;
+  // The experiment is one that generate accepts.
+  EXPECT_EQ(weft_command("generate '" + out + "/my_sheet_experiment.yaml' --examples 1 --out '" + out + "/data'").code,
+            0);
+
+  const Outcome again = weft_command("garment import '" + out + "/my_sheet.yaml' --out '" + out + "'");
+  EXPECT_EQ(again.code, 2);
+  EXPECT_THAT(again.output, HasSubstr("would replace the file that is imported; name another folder with --out"));
+  const Outcome show =
+      weft_command("garment show '" + out + "/my_sheet.yaml' --name 'hem=nearest(0.6,-0.61)' --name top=1");
+  EXPECT_EQ(show.code, 0);
+  EXPECT_THAT(show.output, AllOf(StartsWith("name: my_sheet\nmesh: my_sheet.obj\n"), HasSubstr("hem: 48\n"),
+                                 HasSubstr("middle: 24\n"), HasSubstr("top: 0\n")));
+  const Outcome wrong = weft_command("garment show '" + out + "/my_sheet.obj' --name top=50");
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_THAT(wrong.output, HasSubstr("has only 49 vertices"));
+}
+
+TEST(Program, AnImportThatCannotBeFoldedSaysSoAndExitsWithOne) {
+  const Folder folder;
+  std::string tube;
+  for (int j = 0; j < 2; ++j) {
+    for (const char* corner : {"0 0", "0.3 0", "0.3 0.3", "0 0.3"})
+      tube += "v " + std::string(corner) + (j ? " 0.4\n" : " 0\n");
+  }
+  tube += "f 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+  const std::string file = folder.write("tube.obj", tube).string();
+  const Outcome import = weft_command("garment import '" + file + "' --out '" + (folder / "out").string() + "'");
+  EXPECT_EQ(import.code, 1);
+  EXPECT_THAT(import.output,
+              AllOf(HasSubstr("error: imported, but weft cannot fold it yet, so there is no task: not flat"),
+                    HasSubstr("a surface with 2 open boundaries")));
+  EXPECT_TRUE(std::filesystem::exists(folder / "out/tube.obj"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "out/tube_fold.yaml"));
 }
 
 TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {

@@ -121,6 +121,18 @@ export interface PhysicsRow {
 export interface PhysicsData { comparisons: number; failed: number; rows: PhysicsRow[] }
 export interface AblationData { description: string; factors: string[]; seeds: number[]; /** Names of the cases, if the seeds count cases. */ cases?: string[]; complete: boolean; arms: Arm[] }
 
+export type FindingKind = 'fact' | 'mended' | 'warning' | 'limit';
+export interface Finding { pass: string; kind: FindingKind; count: number; text: string; places?: { element: string; at: number[] }[] }
+export interface GarmentMesh {
+  /** As the garment's YAML names it. */
+  file: string;
+  positions: ArrayRef;
+  named: Record<string, number>;
+  /** Of an import: the triangles of the file, and what was found and done. */
+  before?: { vertices: number; faces: ArrayRef; positions: ArrayRef };
+  findings?: Finding[];
+}
+
 export interface CaseShapes {
   /** Final shapes, as differences from their goals ... */
   goals?: ArrayRef[]; offsets?: ArrayRef[]; goal_of?: number[];
@@ -129,7 +141,7 @@ export interface CaseShapes {
 }
 export interface PageData {
   schema: string;
-  kind: 'session' | 'evaluation' | 'ablation';
+  kind: 'session' | 'evaluation' | 'ablation' | 'garment';
   properties: string[];
   provenance?: Provenance;
   config?: string;
@@ -137,6 +149,7 @@ export interface PageData {
   garment?: Garment;
   trajectory?: { controls: Variable[]; state: Variable[] };
   session?: SessionData;
+  mesh?: GarmentMesh;
   planning?: PlanningData;
   estimation?: EstimationData;
   prediction?: PredictionData;

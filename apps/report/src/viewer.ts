@@ -1,7 +1,7 @@
 // The 3D view: one garment, overlays of it, paths, a ground grid. Draws when something changed, not all the time.
 import {
   BufferAttribute, BufferGeometry, CanvasTexture, Color, DataTexture, DoubleSide, Group, KeepStencilOp,
-  LinearSRGBColorSpace, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshBasicMaterial, NotEqualStencilFunc, PerspectiveCamera, ReplaceStencilOp,
+  LinearSRGBColorSpace, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshBasicMaterial, NotEqualStencilFunc, PerspectiveCamera, Raycaster, ReplaceStencilOp,
   RGBAFormat, Scene, ShaderMaterial, SphereGeometry, Spherical, Sprite, SpriteMaterial, Vector2, Vector3, WebGLRenderer,
 } from 'three';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
@@ -133,6 +133,9 @@ export class Viewer {
   private readonly ground = new Group();
   private readonly lines = new Map<string, { line: Line2; colour: string }[]>();
   private readonly hands: Mesh[] = [];
+  private readonly marks = new Group();
+  /** Called with the vertex that a click (without a drag) hits. */
+  onPick: ((vertex: number) => void) | null = null;
   private readonly extent: Vector3[] = [];
   /** The view until somebody turns it. */
   private preset: 'reset' | 'side' | 'top' | null = 'reset';
@@ -179,7 +182,7 @@ export class Viewer {
       material.stencilFail = KeepStencilOp;
       material.stencilZFail = KeepStencilOp;
     }
-    this.scene.add(this.ground, this.shadow, this.cloth.mesh, this.edges, this.overlays.goal.mesh, this.overlays.prediction.mesh);
+    this.scene.add(this.ground, this.marks, this.shadow, this.cloth.mesh, this.edges, this.overlays.goal.mesh, this.overlays.prediction.mesh);
 
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
@@ -196,6 +199,11 @@ export class Viewer {
     canvas.addEventListener('blur', () => (this.controls.enableZoom = false));
     canvas.addEventListener('pointerdown', () => canvas.focus({ preventScroll: true }));
     canvas.addEventListener('keydown', (event) => this.key(event));
+    const pressed = new Vector2();
+    canvas.addEventListener('pointerdown', (event) => pressed.set(event.clientX, event.clientY));
+    canvas.addEventListener('click', (event) => {
+      if (Math.hypot(event.clientX - pressed.x, event.clientY - pressed.y) < 4) this.pick(event);
+    });
     this.element.append(h('div', { class: 'views' },
       h('button', { onclick: () => this.view('side'), title: 'From the side (2)' }, 'Side'),
       h('button', { onclick: () => this.view('top'), title: 'From above (3)' }, 'Top'),
@@ -257,6 +265,40 @@ export class Viewer {
       if (i < count) hand.position.fromArray(points!, 3 * i);
     });
     this.invalidate();
+  }
+
+  /** Balls at places, with a text beside those that have one. */
+  setMarks(marks: { at: number[]; text: string }[]) {
+    if (!this.renderer) return;
+    this.marks.clear();
+    const size = this.extent.length ? new Vector3().copy(this.extent[0]).distanceTo(this.extent[this.extent.length >> 1]) : 1;
+    for (const { at, text } of marks) {
+      const ball = new Mesh(new SphereGeometry(Math.min(Math.max(0.012 * size, 0.003), 0.012), 16, 12), new MeshBasicMaterial({ depthTest: false }));
+      ball.position.fromArray(at);
+      ball.renderOrder = 3;
+      this.marks.add(ball);
+      if (!text) continue;
+      const sprite = new Sprite(new SpriteMaterial({ transparent: true, sizeAttenuation: false, depthTest: false }));
+      sprite.name = text;
+      sprite.position.fromArray(at);
+      sprite.center.set(0.5, -0.35);
+      sprite.renderOrder = 4;
+      this.marks.add(sprite);
+    }
+    this.paint();
+  }
+
+  /** The vertex of the cloth that is nearest to where a click hits it. */
+  private pick(event: MouseEvent) {
+    if (!this.onPick) return;
+    const box = this.canvas!.getBoundingClientRect();
+    const caster = new Raycaster();
+    caster.setFromCamera(new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2), this.camera);
+    this.cloth.geometry.computeBoundingSphere();
+    const hit = caster.intersectObject(this.cloth.mesh)[0];
+    if (!hit?.face) return;
+    const distance = (v: number) => new Vector3().fromArray(this.cloth.positions, 3 * v).distanceTo(hit.point);
+    this.onPick([hit.face.a, hit.face.b, hit.face.c].reduce((a, b) => (distance(b) < distance(a) ? b : a)));
   }
 
   /** Polylines, one per hand: [n, 3] each. */
@@ -385,6 +427,10 @@ export class Viewer {
       }
     }
     for (const hand of this.hands) (hand.material as MeshBasicMaterial).color.set(cssColour('executed'));
+    for (const object of this.marks.children) {
+      if (object instanceof Mesh) (object.material as MeshBasicMaterial).color.set(cssColour('executed'));
+      else if (object instanceof Sprite) labelSprite(object, object.name, 'ink');
+    }
     for (const object of this.ground.children) {
       if (object instanceof LineSegments) (object.material as LineBasicMaterial).color.set(cssColour(object.name));
       else if (object instanceof Sprite) labelSprite(object, object.name);
@@ -510,19 +556,21 @@ function mapTexture(): DataTexture {
   return texture;
 }
 
-function labelSprite(sprite: Sprite, text: string) {
-  const canvas = document.createElement('canvas');
-  canvas.width = 128;
+function labelSprite(sprite: Sprite, text: string, colour = 'muted') {
+  const canvas = document.createElement('canvas'), font = '34px system-ui, sans-serif';
+  const measure = canvas.getContext('2d')!;
+  measure.font = font;
+  canvas.width = Math.max(128, Math.ceil(measure.measureText(text).width / 2) * 2 + 16);
   canvas.height = 64;
   const context = canvas.getContext('2d')!;
-  context.font = '34px system-ui, sans-serif';
+  context.font = font;
   context.textAlign = 'center';
   context.textBaseline = 'middle';
-  context.fillStyle = cssColour('muted');
-  context.fillText(text, 64, 32);
+  context.fillStyle = cssColour(colour);
+  context.fillText(text, canvas.width / 2, 32);
   sprite.material.map?.dispose();
   sprite.material.map = new CanvasTexture(canvas);
   sprite.material.map.colorSpace = 'srgb';
   sprite.material.needsUpdate = true;
-  sprite.scale.set(kLabelHeight * 2, kLabelHeight, 1);
+  sprite.scale.set((kLabelHeight * canvas.width) / canvas.height, kLabelHeight, 1);
 }

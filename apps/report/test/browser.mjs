@@ -448,6 +448,52 @@ async function realSimulators() {
   await page.close();
 }
 
+/** An import with a finding that has a place, and names given by clicks. */
+async function garmentPage() {
+  const file = path.join(folder, 'sheet.obj'), out = path.join(folder, 'garment');
+  const at = (i, j) => 7 * j + i + 1;
+  const vertices = Array.from({ length: 49 }, (_, v) => `v ${(v % 7) * 0.1} ${Math.floor(v / 7) * 0.1} 0`);
+  const faces = Array.from({ length: 36 }, (_, q) => [q % 6, Math.floor(q / 6)]).map(([i, j]) => `f ${at(i, j)} ${at(i + 1, j)} ${at(i + 1, j + 1)} ${at(i, j + 1)}`);
+  writeFileSync(file, [...vertices, ...faces.filter((_, q) => q !== 14), ''].join('\n'));
+  run(weft, 'garment', 'import', file, '--no-tuning', '--quiet', '--out', out);
+  const page = await open(path.join(out, 'import.html'));
+  await nextFrames(page);
+  const { findings, named } = json('garment', 'import.json');
+  assert.equal(await page.locator('#findings tbody tr').count(), findings.length);
+  assert.match(await text(page, '#findings tr[data-pass="holes"]'), /1 hole of at most 6 edges filled/);
+  assert.equal(await shown(page, 'mended'), String(findings.filter((one) => one.kind === 'mended').length));
+  assert.match(await text(page, '#yaml'), new RegExp(`^name: sheet\nmesh: sheet.obj\nvertices:\n  left_bottom: ${named.left_bottom}\n`));
+  assert.equal(await page.locator('.viewer canvas').count(), 2);
+  await page.locator('#findings tr[data-pass="holes"] button').click();
+  assert.equal(await page.locator('#findings tr[data-pass="holes"]').getAttribute('aria-selected'), 'true');
+
+  // From above, the middle of the picture shows the middle of the sheet.
+  await page.locator('#after button', { hasText: 'Top' }).click();
+  await nextFrames(page);
+  assert.ok((await look(page, '#after')).blue > 5000);
+  const canvas = page.locator('#after canvas'), box = await canvas.boundingBox();
+  assert.ok(await page.locator('#add-name').isDisabled());
+  await canvas.click({ position: { x: box.width / 2, y: box.height / 2 } });
+  const [, vertex, x, y] = (await text(page, '#chosen')).match(/Vertex (\d+) \(OBJ \d+\) at (\S+), (\S+), /);
+  assert.ok(Math.abs(Number(x) - 0.3) < 0.15 && Math.abs(Number(y) - 0.3) < 0.15, `a click in the middle chose (${x}, ${y})`);
+  await page.locator('#vertex-name').fill('2 words');
+  assert.ok(await page.locator('#add-name').isDisabled());
+  await page.locator('#vertex-name').fill('middle');
+  await page.keyboard.press('Enter');
+  assert.match(await text(page, '#yaml'), new RegExp(`  middle: ${vertex}\n`));
+  await page.locator('button[aria-label="Remove the name middle"]').click();
+  assert.doesNotMatch(await text(page, '#yaml'), /middle/);
+  // A drag turns the view and names nothing.
+  await page.mouse.move(box.x + 60, box.y + 60);
+  await page.mouse.down();
+  await page.mouse.move(box.x + 160, box.y + 90, { steps: 3 });
+  await page.mouse.up();
+  assert.match(await text(page, '#chosen'), new RegExp(`^Vertex ${vertex} `));
+  assert.deepEqual(page.problems, []);
+  await page.close();
+  say('garment page: findings with their places, names by clicks');
+}
+
 async function exports() {
   const session = path.join(folder, 'session');
   run(weft, 'export', session, '--to', 'gltf', '--to', 'csv', '--to', 'usd', '--to', 'obj', '--png', '0,last', '--size', '640x400', '--every', '24', '--quiet');
@@ -502,6 +548,7 @@ try {
   await ablationPage();
   await realAblation();
   await realSimulators();
+  await garmentPage();
   await exports();
 } finally {
   await context.close();

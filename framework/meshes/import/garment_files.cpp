@@ -1,0 +1,83 @@
+#include "meshes/import/garment_files.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <iterator>
+
+#include "meshes/import/mesh_file.hpp"
+#include "meshes/plane.hpp"
+#include "sdk/files.hpp"
+#include "weft/config.hpp"
+
+namespace weft {
+
+void write_garment_files(const std::filesystem::path& folder, const std::string& name, const ImportedGarment& garment,
+                         const std::string& command) {
+  const auto mesh_file = folder / (name + ".obj");
+  write_obj(mesh_file, garment.mesh);
+  std::ifstream stream(mesh_file, std::ios::binary);
+  const std::string mesh_text{std::istreambuf_iterator<char>(stream), {}};
+  if (!stream) throw Error(mesh_file.string() + ": cannot be read");
+  write_text(mesh_file, "#" + std::string(kImportedComment) + "\n" + mesh_text);
+
+  std::vector<std::pair<std::string, ConfigNode>> entries{{"name", ConfigNode::scalar(name)},
+                                                          {"mesh", ConfigNode::scalar(name + ".obj")}};
+  if (!garment.vertices.empty()) {
+    std::vector<std::pair<std::string, ConfigNode>> vertices;
+    for (const auto& [vertex, index] : garment.vertices) vertices.emplace_back(vertex, ConfigNode::integer(index));
+    entries.emplace_back("vertices", ConfigNode::mapping(std::move(vertices)));
+  }
+  std::string text = "# Made by: " + command + "\n";
+  for (const Finding& finding : garment.findings) {
+    if (finding.kind == FindingKind::limit) text += "# weft cannot fold it yet: " + finding.text + "\n";
+  }
+  write_text(folder / (name + ".yaml"), text + ConfigNode::mapping(std::move(entries)).to_yaml());
+}
+
+Vec2 fold_in_two(const Mesh& mesh, Index hand_1, Index hand_2, bool along_x) {
+  const Vec2 a = mesh.positions.row(hand_1).head<2>(), b = mesh.positions.row(hand_2).head<2>();
+  const Vec2 hands = (a + b) / 2.0;
+  Vec2 direction(1.0, 0.0);
+  if (!along_x && (b - a).norm() > 0.0) {
+    const Vec2 low = mesh.positions.leftCols<2>().colwise().minCoeff();
+    const Vec2 high = mesh.positions.leftCols<2>().colwise().maxCoeff();
+    direction = Vec2(b.y() - a.y(), a.x() - b.x()).normalized();
+    if (direction.dot((low + high) / 2.0 - hands) < 0.0) direction = -direction;
+    for (const Vec2& axis : {Vec2(1, 0), Vec2(0, 1), Vec2(-1, 0), Vec2(0, -1)}) {
+      if (direction.dot(axis) > std::cos(15.0 * kDegree)) direction = axis;
+    }
+  }
+  const Vector along = mesh.positions.leftCols<2>() * direction;
+  const double middle = (along.minCoeff() + along.maxCoeff()) / 2.0;
+  const double length = 2.0 * (middle - hands.dot(direction));
+  if (!(length > 0.05 * (along.maxCoeff() - along.minCoeff()))) {
+    throw ConfigError(
+        "--grasp: the hands lie at the middle of the garment, so they cannot fold it in two; grasp the "
+        "outermost vertices of one side");
+  }
+  return length * direction;
+}
+
+std::string task_text(const std::string& name, const std::vector<std::string>& grasp, const Vec2& displacement,
+                      const std::string& note) {
+  char numbers[80];
+  std::snprintf(numbers, sizeof numbers, "[%.4f, %.4f]", displacement.x() + 0.0, displacement.y() + 0.0);
+  return "# Fold " + name + " in two. Every key: docs/configuration.md\n" + "description: fold " + name + " in two\n" +
+         "garment: " + name + ".yaml\n" + "material: fabric.yaml\n" + "manipulation:\n" + "  grasp: [" + grasp.at(0) +
+         ", " + grasp.at(1) + "]\n" + "  displacement_m: " + numbers + "  # " + note + "\n" +
+         "  drop_height_m: 0.05\n" + "simulator: {plugin: cloth}\n" + "trajectory: {plugin: arc}\n" +
+         "predictor: {plugin: rollout}  # plans with the simulator; a network is faster: " + name +
+         "_experiment.yaml\n" + "optimiser: {plugin: rprop}\n" +
+         "planning: {instances: 2, iterations: 8, replan_iterations: 2}\n" + "knowledge: \"true\"\n";
+}
+
+std::string experiment_text(const std::string& name) {
+  return "# Learn to fold " + name + ":\n" + "#   weft generate " + name +
+         "_experiment.yaml --examples 1024 --out data/" + name + "\n" + "#   weft train " + name +
+         "_experiment.yaml --data data/" + name + " --out " + name + ".h5\n" + "extends: " + name + "_fold.yaml\n" +
+         "predictor: {plugin: emd}\n";
+}
+
+}  // namespace weft

@@ -1,0 +1,22 @@
+#pragma once
+#include <filesystem>
+
+#include "meshes/import/units.hpp"
+#include "sdk/obj_file.hpp"
+
+namespace weft {
+
+/// A mesh file of somebody's, as polygons.
+struct MeshFile {
+  ObjFile polygons;
+  FileFrame frame;  ///< what the format or the file says of units and up axis
+};
+
+/// Reads OBJ with weft's own reader, whose vertices keep their numbers, and PLY, STL, glTF and GLB with assimp.
+/// @throws ConfigError for a file that cannot be read, another format, or a build without assimp, naming the remedy.
+MeshFile read_mesh_file(const std::filesystem::path& path, Findings& findings);
+
+/// The first line of the OBJ that an import writes: it says that the file is in metres with z up.
+extern const char* const kImportedComment;
+
+}  // namespace weft

@@ -1,0 +1,28 @@
+#pragma once
+#include "meshes/import/import_mesh.hpp"
+
+namespace weft {
+
+/// What the file's texture coordinates say about the unstretched cloth.
+struct TextureFit {
+  bool everywhere = false;      ///< every face of the file has them
+  bool one_point = false;       ///< they all are one point
+  int islands = 0;              ///< parts of the atlas
+  std::int64_t seam_edges = 0;  ///< between faces that do not share coordinates
+  double scale = 0.0;           ///< one scale that turns them into metres: the median over all edges
+  double median_strain = 0.0;   ///< of the mesh's edges against the scaled ones
+  std::int64_t mirrored = 0;    ///< faces that run clockwise in the texture
+  /// A strain of 2 % in the median: more is no cloth at rest.
+  bool has_size() const { return everywhere && !one_point && median_strain <= 0.02; }
+  bool one_chart() const { return seam_edges == 0; }
+};
+TextureFit fit_texture(const ImportMesh& mesh);
+
+/// Finds the rest shape that today's garments have: one place in the plane per vertex.
+/// A mesh that is flat within 1e-4 of its extent is laid at z = 0 and is its own rest shape; it keeps vt that are such a
+/// shape already. A curved one is laid flat where its texture is one chart of its size. Faces run counter-clockwise
+/// afterwards. Everything else is a finding of the kind `limit`.
+/// @return [V, 2] m; no rows: there is none.
+RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings);
+
+}  // namespace weft
