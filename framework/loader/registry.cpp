@@ -254,18 +254,18 @@ struct PluginRegistry::Impl {
         refusals.push_back(refusal);
       return true;
     });
-    std::string searched, refused;
+    std::string searched, reasons;
     for (const auto& folder : search_path) {
       std::error_code ignored;
       searched += (searched.empty() ? "" : ", ") + folder.string() +
                   (fs::is_directory(folder, ignored) ? "" : " which is no folder");
     }
     constexpr std::size_t most = 3;  // the others are in `weft plugins`
-    for (std::size_t i = 0; i < std::min(most, refusals.size()); ++i) refused += "; " + refusals[i];
+    for (std::size_t i = 0; i < std::min(most, refusals.size()); ++i) reasons += "; " + refusals[i];
     if (refusals.size() > most)
-      refused += "; " + std::to_string(refusals.size() - most) + " more were refused, `weft plugins` says why";
+      reasons += "; " + std::to_string(refusals.size() - most) + " more were refused, `weft plugins` says why";
     return "no " + (kind.empty() ? "plugin" : kind + " plugin") + " is called '" + name + "'" +
-           nearest_hint(name, known) + " (searched " + searched + ")" + refused;
+           nearest_hint(name, known) + " (searched " + searched + ")" + reasons;
   }
 
   std::shared_ptr<const Library> find(const std::string& kind, const std::string& name) const {

@@ -48,13 +48,13 @@ struct CheckedTrajectories : testing::Test {
 
 TEST_F(CheckedTrajectories, SizesAndNumbersOfAPullback) {
   EXPECT_NO_THROW(trajectory->advance_pullback(m, one, one, one, d_state, d_control));
-  bad->spoil = [](Vector&, Vector& d_control) { d_control.resize(0); };
+  bad->spoil = [](Vector&, Vector& of_control) { of_control.resize(0); };
   EXPECT_THAT(pull(),
               StartsWith("trajectory lift, planning: d_control from advance_pullback() has size 0, must have 1; "
                          "`weft conformance lift`"));
-  bad->spoil = [](Vector& d_state, Vector&) { d_state = Vector::Zero(2); };
+  bad->spoil = [](Vector& of_state, Vector&) { of_state = Vector::Zero(2); };
   EXPECT_THAT(pull(), StartsWith("trajectory lift, planning: d_state from advance_pullback() has size 2, must have 1"));
-  bad->spoil = [](Vector& d_state, Vector&) { d_state[0] = kNaN; };
+  bad->spoil = [](Vector& of_state, Vector&) { of_state[0] = kNaN; };
   EXPECT_THAT(pull(), StartsWith("trajectory lift, planning: d_state from advance_pullback() is not finite"));
 }
 
