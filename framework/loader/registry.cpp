@@ -204,6 +204,8 @@ std::vector<fs::path> PluginRegistry::default_search_path() {
   return folders;
 }
 
+const std::vector<fs::path>& PluginRegistry::search_path() const { return impl_->search_path; }
+
 std::vector<PluginEntry> PluginRegistry::list() const {
   std::vector<PluginEntry> good, bad;
   std::set<std::string> seen;
@@ -325,6 +327,10 @@ std::pair<std::string, PluginEntry> PluginRegistry::look_up(const std::string& k
                       entry.file.string() + " is " + name + " " + entry.version);
   }
   return {std::move(name), std::move(entry)};
+}
+
+PluginEntry PluginRegistry::entry(const std::string& kind, const ConfigNode& slot) const {
+  return look_up(kind, slot).second;
 }
 
 ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& slot) const {

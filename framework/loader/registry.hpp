@@ -26,11 +26,15 @@ class PluginRegistry {
   ~PluginRegistry();
   static std::vector<std::filesystem::path> default_search_path();
 
+  /// The folders that are searched, in this order.
+  const std::vector<std::filesystem::path>& search_path() const;
   /// Everything on the search path, sorted by kind and name; refused libraries last.
   std::vector<PluginEntry> list() const;
   /// The entry of a name ("arc" or "trajectory/arc") or of a library file.
   /// @throws PluginError with the nearest name, or with both sides of a refusal and the remedy.
   PluginEntry find(const std::string& name_or_file, const std::string& kind = "") const;
+  /// The entry of a slot: {plugin: NAME, params: {...}}, or a bare NAME. @throws PluginError, ConfigError.
+  PluginEntry entry(const std::string& kind, const ConfigNode& slot) const;
   std::vector<ParamInfo> params(const PluginEntry& entry) const;
 
   /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default, also in nested slots. Creates no

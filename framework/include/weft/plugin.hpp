@@ -20,7 +20,7 @@ extern "C" struct WeftPluginInfo {
 #define WEFT_STRINGIFY_(x) #x
 #define WEFT_STRINGIFY(x) WEFT_STRINGIFY_(x)
 #define WEFT_ABI_TAG                                                                                                           \
-  "weft2 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI) " eigen" WEFT_STRINGIFY( \
+  "weft3 gxxabi" WEFT_STRINGIFY(__GXX_ABI_VERSION) " cxx11abi" WEFT_STRINGIFY(_GLIBCXX_USE_CXX11_ABI) " eigen" WEFT_STRINGIFY( \
       EIGEN_WORLD_VERSION) "." WEFT_STRINGIFY(EIGEN_MAJOR_VERSION) "." WEFT_STRINGIFY(EIGEN_MINOR_VERSION) " align" WEFT_STRINGIFY(EIGEN_MAX_ALIGN_BYTES)
 
 /// Copies `text` into a fixed char array of the info. Text that is too long does not compile.
