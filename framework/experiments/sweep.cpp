@@ -2,122 +2,64 @@
 
 #include <algorithm>
 #include <atomic>
-#include <fstream>
 #include <limits>
 #include <mutex>
-#include <nlohmann/json.hpp>
+#include <set>
 #include <thread>
 
-#include "experiments/json_numbers.hpp"
+#include "experiments/sweep_rows.hpp"
 #include "loader/program_host.hpp"
-#include "sdk/fingerprint.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
 namespace {
 
 namespace fs = std::filesystem;
-using nlohmann::ordered_json;
 
-constexpr const char* kRowSchema = "weft sweep row 2";
-constexpr const char* kAblationSchema = "weft ablation row 1";  // the same without a payload; read, not written
-
-std::string cell_name(const SweepPlan& plan, std::size_t arm, std::uint64_t seed) {
-  return "seed" + std::to_string(seed) + "-arm" + std::to_string(arm) + "-" +
-         hex_digits(fnv1a(plan.arms[arm].name)).substr(0, 8) + ".json";
-}
-
-/// A hash of all that decides a cell's numbers. A row with another hash belongs to another sweep.
-std::string cell_fingerprint(const ConfigNode& config) { return hex_digits(fnv1a(config.to_yaml())); }
-
-void write_row(const SweepPlan& plan, const SweepRow& row, const std::string& fingerprint) {
-  ordered_json metrics = ordered_json::object();
-  for (const auto& [name, value] : row.outcome.metrics) metrics[name] = json_number(value);
-  ordered_json json{{"schema", kRowSchema},
-                    {"arm", plan.arms[row.arm].name},
-                    {"seed", row.seed},
-                    {"config", fingerprint},
-                    {"status", row.failure.empty() ? "done" : "failed"},
-                    {"failure", row.failure},
-                    {"paired_by", row.outcome.paired_by},
-                    {"metrics", metrics}};
-  const auto& payload = row.outcome.payload;
-  if (!payload.schema.empty())
-    json["payload"] = {{"schema", payload.schema}, {"value", ordered_json::parse(payload.json)}};
-  const fs::path temporary = row.file.string() + ".tmp";
-  std::ofstream stream(temporary, std::ios::binary);
-  stream << json.dump(2, ' ', false, ordered_json::error_handler_t::replace) << '\n';
-  stream.close();
-  if (!stream) throw Error(row.file.string() + ": cannot be written");
-  fs::rename(temporary, row.file);
-}
-
-SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, std::uint64_t seed,
-                  const std::string& fingerprint) {
-  SweepRow row{arm, seed, "", {}, file};
-  try {
-    std::ifstream stream(file, std::ios::binary);
-    const ordered_json json = ordered_json::parse(stream);
-    if (json.at("schema") != kRowSchema && json.at("schema") != kAblationSchema)
-      throw ConfigError(file.string() + ": is not a row of a sweep");
-    if (json.at("arm") != plan.arms[arm].name || json.at("seed") != seed || json.at("config") != fingerprint)
-      throw ConfigError(file.string() +
-                        ": belongs to a sweep with another config; give another --out, or remove its folder");
-    row.failure = json.at("failure").get<std::string>();
-    if (json.at("status") != (row.failure.empty() ? "done" : "failed"))
-      throw ConfigError(file.string() + ": is damaged: status and failure disagree");
-    row.outcome.paired_by = json.at("paired_by").get<std::string>();
-    for (const auto& [name, value] : json.at("metrics").items())
-      row.outcome.metrics.emplace_back(name, number_of(value));
-    if (const auto payload = json.find("payload"); payload != json.end())
-      row.outcome.payload = {payload->at("schema").get<std::string>(), payload->at("value").dump()};
-  } catch (const nlohmann::json::exception& error) {
-    throw ConfigError(file.string() + ": is damaged: " + error.what() + "; remove it to run its cell again");
-  }
-  return row;
+std::vector<std::string> names_in(const std::vector<SweepRow>& rows, SweepMetrics SweepOutcome::*part) {
+  std::vector<std::string> names;
+  for (const auto& row : rows)
+    for (const auto& [name, value] : row.outcome.*part)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  return names;
 }
 
 }  // namespace
 
 double SweepRow::metric(const std::string& name) const {
-  for (const auto& [key, value] : outcome.metrics)
-    if (key == name) return value;
+  for (const auto* part : {&outcome.metrics, &outcome.times})
+    for (const auto& [key, value] : *part)
+      if (key == name) return value;
   return std::numeric_limits<double>::quiet_NaN();
 }
 
 std::vector<std::string> sweep_metrics(const std::vector<SweepRow>& rows) {
-  std::vector<std::string> names;
-  for (const auto& row : rows)
-    for (const auto& [name, value] : row.outcome.metrics)
-      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
-  return names;
+  return names_in(rows, &SweepOutcome::metrics);
 }
+std::vector<std::string> sweep_times(const std::vector<SweepRow>& rows) { return names_in(rows, &SweepOutcome::times); }
 
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options) {
+  std::vector<SweepRow> rows = read_sweep(plan, options.folder, options.accept_changed).rows;
   const fs::path cells = options.folder / "cells";
   std::error_code problem;
   fs::create_directories(cells, problem);
   if (!fs::is_directory(cells)) throw Error(cells.string() + ": cannot be made: " + problem.message());
+  write_identities(plan, options.folder);
 
   // Seed by seed, so that the rows of an unfinished run can be compared.
   struct Cell {
     std::size_t arm;
     std::uint64_t seed;
     ConfigNode config;
-    std::string fingerprint;
-    fs::path file;
   };
+  std::set<std::pair<std::size_t, std::uint64_t>> there;
+  for (const auto& row : rows) there.insert({row.arm, row.seed});
   std::vector<Cell> todo;
-  std::vector<SweepRow> rows;
   for (const std::uint64_t seed : plan.seeds) {
     for (std::size_t arm = 0; arm < plan.arms.size(); ++arm) {
-      Cell cell{arm, seed, plan.arms[arm].config.with("seed", ConfigNode::integer(static_cast<std::int64_t>(seed))), "",
-                cells / cell_name(plan, arm, seed)};
-      cell.fingerprint = cell_fingerprint(cell.config);
-      if (fs::exists(cell.file))
-        rows.push_back(read_row(cell.file, plan, arm, seed, cell.fingerprint));
-      else
-        todo.push_back(std::move(cell));
+      if (there.contains({arm, seed})) continue;
+      const auto number = ConfigNode::integer(static_cast<std::int64_t>(seed));
+      todo.push_back({arm, seed, plan.arms[arm].config.with("seed", number)});
     }
   }
 
@@ -129,7 +71,8 @@ std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& optio
   const auto work = [&] {
     for (std::size_t i = next++; i < todo.size(); i = next++) {
       const Cell& cell = todo[i];
-      SweepRow row{cell.arm, cell.seed, "", {}, cell.file};
+      SweepRow row{cell.arm, cell.seed, "", {}, row_file(plan, options.folder, cell.arm, cell.seed)};
+      row.identity = plan.arms[cell.arm].identity.hash();
       if (cancelled()) return;
       try {
         const auto threads = cell.config.find("threads");
@@ -149,7 +92,7 @@ std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& optio
       const std::lock_guard lock(mutex);
       if (error) return;
       try {
-        write_row(plan, row, cell.fingerprint);
+        write_row(plan, row);
         rows.push_back(row);
         if (options.progress) options.progress(row, rows.size(), total);
       } catch (...) {

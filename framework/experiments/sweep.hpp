@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "identity/identity.hpp"
 #include "loader/registry.hpp"
 #include "weft/config.hpp"
 #include "weft/host.hpp"
@@ -21,6 +22,7 @@ struct SweepArm {
   std::string name;                 ///< levels, comma-separated
   std::vector<std::string> levels;  ///< one per factor
   ConfigNode config;                ///< of its cells, without a seed
+  Identity identity;                ///< of its cells, without a seed
 };
 
 struct SweepPlan {
@@ -46,6 +48,7 @@ struct SweepOutcome {
   SweepMetrics metrics;
   std::string paired_by;  ///< fingerprint of what must be the same in all arms: goal, start and true material
   SweepPayload payload = {};
+  SweepMetrics times = {};  ///< what a clock measured, such as plan_seconds: it differs between equal runs
 };
 
 /// One arm with one seed.
@@ -54,18 +57,24 @@ struct SweepRow {
   std::uint64_t seed = 0;
   std::string failure;  ///< empty: the cell did not fail
   SweepOutcome outcome;
-  std::filesystem::path file = {};  ///< the row's file
+  std::filesystem::path file = {};        ///< the row's file
+  std::string identity = {};              ///< hash of the identity that it belongs to; empty: unknown
+  std::vector<std::string> changes = {};  ///< how its arm's identity differs from that one
 
-  double metric(const std::string& name) const;  ///< NaN if there is no metric of this name
+  /// A metric or a time; NaN if there is none of this name.
+  double metric(const std::string& name) const;
 };
 /// Names of all metrics, in the order of first appearance.
 std::vector<std::string> sweep_metrics(const std::vector<SweepRow>& rows);
+/// The same of all times.
+std::vector<std::string> sweep_times(const std::vector<SweepRow>& rows);
 
 /// Runs a cell. @param config of the cell's arm, with `seed`. An exception becomes the row's failure.
 using SweepRunner = std::function<SweepOutcome(const ConfigNode& config, Host& host)>;
 
 struct SweepOptions {
   std::filesystem::path folder;  ///< rows go into folder/cells
+  bool accept_changed = false;   ///< go on where earlier rows belong to another identity
   int jobs = 1;                  ///< cells that run in parallel
   std::shared_ptr<const PluginRegistry> registry;
   const std::atomic<bool>* cancel = nullptr;
@@ -78,7 +87,7 @@ struct SweepOptions {
 /// config's `threads` (0: one thread). A row's file is whole or absent, so the next run finishes a killed one. An
 /// exception in a cell becomes its row's failure; the other cells continue.
 /// @return all rows, [seeds * arms]; fewer if cancelled.
-/// @throws ConfigError if the folder holds rows of another sweep, or a damaged row.
+/// @throws ConfigError if earlier rows belong to another identity and that is not accepted, or for a damaged row.
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options);
 
 }  // namespace weft

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstdio>
 #include <mutex>
+#include <tuple>
 
 #include "learning/dataset_files.hpp"
 #include "sdk/fingerprint.hpp"
@@ -14,7 +15,7 @@ namespace weft {
 namespace fs = std::filesystem;
 
 DatasetHeader make_dataset_header(const Task& task, const DataParams& params, std::uint64_t seed,
-                                  const ConfigNode& resolved, const std::string& provenance) {
+                                  const ConfigNode& resolved, const std::string& provenance, const Identity& identity) {
   DatasetHeader h;
   h.config = resolved.to_yaml();
   h.provenance = provenance;
@@ -34,8 +35,37 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
   f.add(h.config);
   f.add_values(&h.seed, 1);
   f.add_values(&h.garment_hash, 1);
-  h.identity = f.hex();
+  h.identity = identity.is_known() ? identity.hash() : f.hex();
   return h;
+}
+
+DatasetHeader header_to_add(const DatasetHeader& header, const fs::path& folder, bool accept_changed) {
+  DatasetHeader result = header;
+  if (!fs::is_directory(folder)) return result;
+  const Identity now = identity_in(header.provenance, folder.string());
+  bool is_first = true;
+  for (const auto& file : list_shards(folder)) {
+    DatasetHeader there;
+    try {
+      there = read_shard_header(file);
+    } catch (const ConfigError&) {
+      continue;  // damaged: it is made again
+    }
+    const auto changes = now.changes_since(identity_in(there.provenance, file.string()));
+    if (!changes.empty() && !accept_changed) throw ConfigError(changed_message(file.string(), changes));
+    const auto form = [](const DatasetHeader& h) {
+      return std::tie(h.seed, h.garment_hash, h.vertices, h.hands, h.shard_examples, h.control_names, h.state_names,
+                      h.validation_fraction, h.test_fraction);
+    };
+    if (form(there) != form(header)) {
+      throw ConfigError(file.string() +
+                        ": belongs to a dataset of another seed, garment, trajectory, shard_examples or split; choose "
+                        "another folder");
+    }
+    if (is_first) result.identity = there.identity;
+    is_first = false;
+  }
+  return result;
 }
 
 Example make_example(Simulator& simulator, const Task& task, const DataParams& params, std::uint64_t seed,
@@ -108,7 +138,7 @@ struct ShardRange {
 /// Whether the file holds the examples of its range. If so, they count as kept. A damaged file is reported.
 /// @throws ConfigError if it belongs to another dataset.
 bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHeader& header, GenerateReport& report,
-                 bool& warned, Host& host) {
+                 Host& host) {
   if (!fs::exists(file)) return false;
   Shard shard;
   try {
@@ -128,11 +158,6 @@ bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHea
   for (std::int64_t i = 0; i < range.count(); ++i) {
     if (shard.examples[i].index != range.first + i) return false;
   }
-  if (!warned && shard.header.provenance != header.provenance) {
-    host.log(LogLevel::warning,
-             file.string() + ": was made by another version of weft or its plugins; its examples are kept");
-    warned = true;
-  }
   report.kept += range.count();
   for (const auto& e : shard.examples) report.failed += e.failed();
   return true;
@@ -142,13 +167,11 @@ bool is_complete(const fs::path& file, const ShardRange& range, const DatasetHea
 std::vector<ShardRange> missing_files(const DatasetHeader& header, std::int64_t size, const GenerateOptions& options,
                                       GenerateReport& report, Host& host) {
   std::vector<ShardRange> missing;
-  bool warned = false;
   for (std::int64_t number = 0; number * size < options.examples; ++number) {
     if (number % options.shard_count != options.shard_index) continue;
     ++report.files;
     const ShardRange range{number, number * size, std::min(options.examples, (number + 1) * size)};
-    if (!is_complete(options.folder / shard_name(number), range, header, report, warned, host))
-      missing.push_back(range);
+    if (!is_complete(options.folder / shard_name(number), range, header, report, host)) missing.push_back(range);
   }
   return missing;
 }

@@ -169,7 +169,7 @@ TEST(Ablation, FailedCellsAreCountedAndLeaveTheirPairsOut) {
   EXPECT_EQ(json["arms"][1]["done"], 2);
   EXPECT_EQ(json["arms"][1]["failed"][0]["failure"], "frame 12, vertex 3");
   EXPECT_EQ(json["arms"][4]["metrics"]["error_mm"]["difference"]["n"], 2);  // the pairs that both ran
-  EXPECT_THAT(ablation_csv(plan, rows), testing::HasSubstr("rprop,4,6,failed,,,\"frame 12, vertex 3\"\n"));
+  EXPECT_THAT(ablation_csv(plan, rows), testing::HasSubstr("rprop,4,6,failed,,,\"frame 12, vertex 3\",\n"));
 }
 
 TEST(Ablation, DifferencesArePaired) {
