@@ -45,8 +45,14 @@ SavedArm resolve_arm(SweepArm& arm, const ConfigNode& resolved, Task task, const
 }
 
 /// Makes the parts that a cell of this arm needs, and drops them, so that errors show before any work starts.
-SavedArm rehearse(const AblationPlan& plan, SweepArm& arm, const PluginRegistry& registry, Host& host) {
+/// @param folder whose earlier cells the arm joins.
+SavedArm rehearse(const AblationPlan& plan, SweepArm& arm, const PluginRegistry& registry, Host& host,
+                  const std::filesystem::path& folder) {
   try {
+    const auto keys =
+        plan.measure == "physics" ? describe_params<PhysicsExperimentParams>() : describe_params<SessionParams>();
+    arm.config = with_recorded_variants(arm.config, keys, registry, recorded_identities(folder),
+                                        (folder / "identities").string());
     if (plan.measure == "physics") {
       PhysicsExperimentParams params;
       const ConfigNode resolved = read_params(arm.config, params);
@@ -75,14 +81,8 @@ int ablate(const Context& context, const std::string& file) {
   const auto registry = context.registry(plan.arms.front().config);
   const auto host = context.host(registry, plan.seeds.front());  // takes ^C, and names the threads
   const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
-  const auto recorded = recorded_identities(folder);
-  const auto keys =
-      plan.measure == "physics" ? describe_params<PhysicsExperimentParams>() : describe_params<SessionParams>();
   std::vector<SavedArm> saved;
-  for (auto& arm : plan.arms) {
-    arm.config = with_recorded_variants(arm.config, keys, *registry, recorded, (folder / "identities").string());
-    saved.push_back(rehearse(plan, arm, *registry, *host));
-  }
+  for (auto& arm : plan.arms) saved.push_back(rehearse(plan, arm, *registry, *host, folder));
   const Identity identity = identity_of_command("ablate");
   require_unmixed(context, folder, identity);
   const SweepFolder earlier = read_sweep(plan, folder, context.accept_changed);
@@ -92,7 +92,12 @@ int ablate(const Context& context, const std::string& file) {
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
     ConfigNode& one = saved[a].config;
     if (one.at("threads").as_int() == 0) one = one.with("threads", ConfigNode::integer(1));
-    write_garment(saved[a].task, folder);
+    // Arms may have garments of their own.
+    const Garment &garment = *saved[a].task.garment, &first = *saved[0].task.garment;
+    const bool is_first = garment.hash == first.hash && garment.positions == first.positions;
+    const std::string name = is_first ? "garment.obj" : "garment-" + arm_hash(plan.arms[a]) + ".obj";
+    write_garment(saved[a].task, folder, name);
+    one = one.with("garment.mesh", ConfigNode::quoted(name));
     write_text(folder / ("arm-" + slug(plan.arms[a].name) + "-" + arm_hash(plan.arms[a]) + ".yaml"), one.to_yaml());
   }
   write_text(folder / "config.yaml", config.to_yaml());

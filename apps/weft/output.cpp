@@ -86,9 +86,9 @@ ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInf
   return folders.size() > 0 || had_some ? config.with("plugin_path", folders) : config;
 }
 
-void write_garment(const Task& task, const fs::path& folder) {
+void write_garment(const Task& task, const fs::path& folder, const std::string& name) {
   const auto& garment = *task.garment;
-  write_obj(folder / "garment.obj", {garment.positions, garment.faces, garment.rest, garment.name}, true);
+  write_obj(folder / name, {garment.positions, garment.faces, garment.rest, garment.name}, true);
 }
 
 void say_mixed(const Context& context, const SweepPlan& plan, const std::vector<SweepRow>& rows,

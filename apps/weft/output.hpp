@@ -32,8 +32,8 @@ std::string provenance_json(const PluginRegistry& registry, std::uint64_t seed, 
 /// @param params the config's keys: describe_params<...>().
 ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
                           const PluginRegistry& registry);
-/// Writes the garment.obj of self_contained().
-void write_garment(const Task& task, const std::filesystem::path& folder);
+/// Writes the garment.obj of self_contained(), also under another name.
+void write_garment(const Task& task, const std::filesystem::path& folder, const std::string& name = "garment.obj");
 
 /// Says which rows of a sweep belong to something else than the others, and which are not asked for. The former is also
 /// said with --quiet, on stderr.
