@@ -44,7 +44,7 @@ int run(Context& context, const std::string& file) {
   }
   const std::string provenance = given.provenance(identity);
   const std::string summary = session_summary_json(result), times = session_times_json(result);
-  make_folder(folder);
+  make_result_folder(folder);
   write_session(folder / "session.h5", result, given.task, saved,
                 provenance);  // first: it is what cannot be made again
   write_garment(given.task, folder);

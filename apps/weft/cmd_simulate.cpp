@@ -35,7 +35,7 @@ int simulate(Context& context, const std::string& file) {
   run.simulator = registry->resolve(Simulator::kKind, run.simulator);
 
   const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
-  make_folder(folder);
+  make_result_folder(folder);
   const auto frames = folder / "frames";
   std::filesystem::create_directories(frames);
   remove_old_frames(frames);

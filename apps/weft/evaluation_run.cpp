@@ -78,7 +78,7 @@ void EvaluationRun::begin(std::vector<EvaluationColumn>& columns, const std::fil
     earlier_.push_back(read_sweep(column.plan, source_folder(column.cases.source), context_.accept_changed));
   }
   // Nothing was refused, so from here on the folder changes.
-  make_folder(out);
+  make_result_folder(out);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));

@@ -25,7 +25,7 @@ fs::path result_folder(const Context& context, const std::string& name) {
   return folder;
 }
 
-void make_folder(const fs::path& folder) {
+void make_result_folder(const fs::path& folder) {
   std::error_code error;
   fs::create_directories(folder, error);
   if (!fs::is_directory(folder))

@@ -14,7 +14,7 @@ namespace weft::app {
 /// The folder of a result: what --out names, or results/<name>. It need not exist. @throws ConfigError if it is a file.
 std::filesystem::path result_folder(const Context& context, const std::string& name);
 /// Makes it. @throws ConfigError with the reason if it cannot be made.
-void make_folder(const std::filesystem::path& folder);
+void make_result_folder(const std::filesystem::path& folder);
 /// Refuses a folder that holds results of another identity, as its provenance.json has it. Changes nothing on the disk.
 /// @throws ConfigError naming what differs, unless --accept-changed was given.
 void require_unmixed(const Context& context, const std::filesystem::path& folder, const Identity& now);
