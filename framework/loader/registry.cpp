@@ -250,18 +250,18 @@ struct PluginRegistry::Impl {
         refusals.push_back(refusal);
       return true;
     });
-    std::string searched, refused;
+    std::string searched, reasons;
     for (const auto& folder : search_path) {
       std::error_code ignored;
       searched += (searched.empty() ? "" : ", ") + folder.string() +
                   (fs::is_directory(folder, ignored) ? "" : " which is no folder");
     }
     constexpr std::size_t most = 3;  // the others are in `weft plugins`
-    for (std::size_t i = 0; i < std::min(most, refusals.size()); ++i) refused += "; " + refusals[i];
+    for (std::size_t i = 0; i < std::min(most, refusals.size()); ++i) reasons += "; " + refusals[i];
     if (refusals.size() > most)
-      refused += "; " + std::to_string(refusals.size() - most) + " more were refused, `weft plugins` says why";
+      reasons += "; " + std::to_string(refusals.size() - most) + " more were refused, `weft plugins` says why";
     return "no " + (kind.empty() ? "plugin" : kind + " plugin") + " is called '" + name + "'" +
-           nearest_hint(name, known) + " (searched " + searched + ")" + refused;
+           nearest_hint(name, known) + " (searched " + searched + ")" + reasons;
   }
 
   std::shared_ptr<const Library> find(const std::string& kind, const std::string& name) const {
@@ -295,6 +295,8 @@ std::vector<fs::path> PluginRegistry::default_search_path() {
   folders.push_back(library_folder() / "weft" / "plugins");
   return folders;
 }
+
+const std::vector<fs::path>& PluginRegistry::search_path() const { return impl_->search_path; }
 
 std::vector<PluginEntry> PluginRegistry::list() const {
   std::map<std::pair<std::string, std::string>, PluginEntry> good;
@@ -380,8 +382,6 @@ void visit_erased(void* library, ParamVisitor& visitor) {
 
 }  // namespace
 
-const std::vector<fs::path>& PluginRegistry::search_path() const { return impl_->search_path; }
-
 std::vector<ParamInfo> PluginRegistry::params(const PluginEntry& entry) const {
   const auto library = impl_->library(entry.file);
   return describe_params_erased(const_cast<Library*>(library.get()), visit_erased);
@@ -409,6 +409,10 @@ std::pair<std::string, PluginEntry> PluginRegistry::look_up(const std::string& k
                       entry.file.string() + " is " + name + " " + entry.version);
   }
   return {std::move(name), std::move(entry)};
+}
+
+PluginEntry PluginRegistry::entry(const std::string& kind, const ConfigNode& slot) const {
+  return look_up(kind, slot).second;
 }
 
 ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& slot) const {
