@@ -4,6 +4,13 @@
 # `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
 # NAME, KIND and, if given, VERSION must be those of WEFT_PLUGIN; the compiler says so when they differ.
 # Where nobody has chosen a build type it becomes Release: without optimisation the laws of a simulator take minutes.
+# A result belongs to the bytes of its plugins' libraries, so these must not depend on the folders of source and build.
+function(weft_same_bytes_anywhere target)
+  # The last one that fits counts, and the build folder may lie in the source folder.
+  target_compile_options(${target} PRIVATE
+    -ffile-prefix-map=${CMAKE_SOURCE_DIR}=source -ffile-prefix-map=${CMAKE_BINARY_DIR}=build)
+endfunction()
+
 function(weft_add_plugin name)
   cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;VERSION;MARCH;CONFORMANCE;OUTPUT_DIRECTORY" "SOURCES;LIBRARIES" ${ARGN})
   if(NOT ARG_KIND MATCHES "^(simulator|predictor|trajectory|optimiser)$")
@@ -37,9 +44,12 @@ function(weft_add_plugin name)
   if(ARG_MARCH)
     target_compile_options(${target} PRIVATE -march=${ARG_MARCH})
   endif()
+  set_target_properties(${target} PROPERTIES BUILD_RPATH_USE_ORIGIN ON)
   if(COMMAND weft_compile_options)
     weft_compile_options(${target})
     set_target_properties(${target} PROPERTIES INSTALL_RPATH "$ORIGIN/../..")  # CMAKE_INSTALL_RPATH is that of programs
+  else()
+    weft_same_bytes_anywhere(${target})
   endif()
   if(ARG_CONFORMANCE)
     # Tolerances live with the plugin: beside the library under the library's name.

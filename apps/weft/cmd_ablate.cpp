@@ -6,7 +6,9 @@
 #include "experiments/cell_work.hpp"
 #include "experiments/cells.hpp"
 #include "experiments/physics/physics.hpp"
+#include "experiments/sweep_rows.hpp"
 #include "output.hpp"
+#include "report/times.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
@@ -26,18 +28,39 @@ std::string slug(const std::string& name) {
   return text;
 }
 
+/// An arm's config, independent of where its files lie, and its task.
+struct SavedArm {
+  ConfigNode config;
+  Task task;
+};
+
+/// Resolves an arm's config, and notes what its cells belong to.
+template <class Params>
+SavedArm resolve_arm(SweepArm& arm, const ConfigNode& resolved, Task task, const PluginRegistry& registry) {
+  const auto params = describe_params<Params>();
+  const auto keep = [](const ParamInfo& info) { return info.name != "seed"; };  // each cell has its own
+  arm.identity = make_identity({arm.config, resolved, params, task, registry, keep, {{"command", "ablate"}}});
+  // Its cells run with the numeric variants that were chosen here.
+  arm.config = with_recorded_variants(arm.config, params, registry, {arm.identity}, "arm '" + arm.name + "'");
+  return {self_contained(resolved, params, task, registry), std::move(task)};
+}
+
 /// Makes the parts that a cell of this arm needs, and drops them, so that errors show before any work starts.
-/// @return the arm's config, independent of where its files lie.
-ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginRegistry& registry, Host& host,
-                    const std::filesystem::path& folder) {
+/// @param folder whose earlier cells the arm joins.
+SavedArm rehearse(const AblationPlan& plan, SweepArm& arm, const PluginRegistry& registry, Host& host,
+                  const std::filesystem::path& folder) {
   try {
+    const auto keys =
+        plan.measure == "physics" ? describe_params<PhysicsExperimentParams>() : describe_params<SessionParams>();
+    arm.config = with_recorded_variants(arm.config, keys, registry, recorded_identities(folder),
+                                        (folder / "identities").string());
     if (plan.measure == "physics") {
       PhysicsExperimentParams params;
       const ConfigNode resolved = read_params(arm.config, params);
       const Task task = make_task(params.task, arm.config, host);
       check_simulator(task.simulator, task, host);
       if (!params.other.is_null()) check_simulator(params.other, task, host);
-      return self_contained(resolved, describe_params<PhysicsExperimentParams>(), task, registry, folder);
+      return resolve_arm<PhysicsExperimentParams>(arm, resolved, task, registry);
     }
     SessionParams params;
     const ConfigNode resolved = read_params(arm.config, params);
@@ -46,7 +69,7 @@ ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginR
     check_simulator(task.simulator, task, host);
     const auto predictor = bound_predictor(place(arm.config, "predictor"), task, host);
     const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
-    return self_contained(resolved, describe_params<SessionParams>(), task, registry, folder);
+    return resolve_arm<SessionParams>(arm, resolved, task, registry);
   } catch (const Error& error) {
     throw ConfigError("arm '" + arm.name + "': " + error.what());
   }
@@ -55,20 +78,34 @@ ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginR
 int ablate(const Context& context, const std::string& file, const WorkOptions& work) {
   ConfigNode config = ConfigNode::load(file);
   for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
-  const AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
+  AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
   const auto registry = context.registry(plan.arms.front().config);
   const auto host = context.host(registry, plan.seeds.front());  // takes ^C, and names the threads
-  const auto folder = output_folder(context, std::filesystem::path(file).stem().string());
+  const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
+  std::vector<SavedArm> saved;
+  for (auto& arm : plan.arms) saved.push_back(rehearse(plan, arm, *registry, *host, folder));
+  const Identity identity = identity_of_command("ablate");
+  require_unmixed(context, folder, identity);
+  const SweepFolder earlier = read_sweep(plan, folder, context.accept_changed);
+
+  // Nothing was refused, so from here on the folder changes.
+  make_result_folder(folder);
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
-    ConfigNode saved = rehearse(plan, plan.arms[a], *registry, *host, folder);
-    if (saved.at("threads").as_int() == 0) saved = saved.with("threads", ConfigNode::integer(1));
-    write_text(folder / ("arm" + std::to_string(a) + "-" + slug(plan.arms[a].name) + ".yaml"), saved.to_yaml());
+    ConfigNode& one = saved[a].config;
+    if (one.at("threads").as_int() == 0) one = one.with("threads", ConfigNode::integer(1));
+    // Arms may have garments of their own.
+    const Garment &garment = *saved[a].task.garment, &first = *saved[0].task.garment;
+    const bool is_first = garment.hash == first.hash && garment.positions == first.positions;
+    const std::string name = is_first ? "garment.obj" : "garment-" + arm_hash(plan.arms[a]) + ".obj";
+    write_garment(saved[a].task, folder, name);
+    one = one.with("garment.mesh", ConfigNode::quoted(name));
+    write_text(folder / ("arm-" + slug(plan.arms[a].name) + "-" + arm_hash(plan.arms[a]) + ".yaml"), one.to_yaml());
   }
   write_text(folder / "config.yaml", config.to_yaml());
-
-  write_text(folder / "provenance.json", provenance_json(*registry, *host, plan.seeds.front()));
+  write_text(folder / "provenance.json", provenance_json(*registry, plan.seeds.front(), identity));
   SweepOptions options;
   options.folder = folder;
+  options.accept_changed = context.accept_changed;
   options.jobs = host->threads();
   options.registry = registry;
   options.cancel = context.cancel_flag();
@@ -100,13 +137,19 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
   context.say(std::to_string(plan.arms.size()) + " arms, " + std::to_string(plan.seeds.size()) +
               (plan.cases.empty() ? " seeds, " : " cases, ") + std::to_string(options.jobs) + " at a time");
   const auto rows = run_sweep(plan, options);
-  const std::string json = ablation_json(plan, rows);
+  const std::string json = ablation_json(plan, rows), times = ablation_times_json(plan, rows);
   write_text(folder / "ablation.csv", ablation_csv(plan, rows));
   write_text(folder / "ablation.json", json);
-  if (context.json) context.output() << json;
+  write_text(folder / "times.csv", ablation_times_csv(plan, rows));
+  write_text(folder / "times.json", times_json(host->threads(), {{"ablation.json", times}}));
+  if (context.json) context.output() << with_times(json, times);
   std::vector<std::string> metrics = {"error_mm", "first_plan_loss", "evaluations", "cpu_seconds"};
-  if (plan.measure == "physics") metrics = sweep_metrics(rows);
+  if (plan.measure == "physics") {
+    metrics = sweep_metrics(rows);
+    for (const auto& name : sweep_times(rows)) metrics.push_back(name);
+  }
   for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));
+  say_mixed(context, plan, rows, earlier);
   write_page(context, folder);
   context.say("results in " + folder.string());
   return sweep_exit_code(context, {rows}, plan.cells());
@@ -118,6 +161,7 @@ void register_ablate(CLI::App& app, Context& context) {
   CLI::App* command =
       app.add_subcommand("ablate", "Compare sessions, or simulators, over a grid of settings; resumable");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Ablation file, such as configs/experiments/optimisers.yaml")->required();
   auto work = std::make_shared<WorkOptions>();

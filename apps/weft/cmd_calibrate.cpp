@@ -1,6 +1,8 @@
 #include <unistd.h>
 
 #include <cstdio>
+#include <fstream>
+#include <iostream>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -26,9 +28,16 @@ void require_place(const fs::path& file, const std::vector<fs::path>& originals)
   }
   if (fs::is_directory(file, error)) refuse("is a folder, must be a file");
   const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
-  fs::create_directories(folder, error);
-  if (!fs::is_directory(folder)) refuse("its folder cannot be made: " + error.message());
-  if (::access(folder.c_str(), W_OK) != 0) refuse("its folder cannot be written to");
+  if (fs::exists(folder, error) && !fs::is_directory(folder)) refuse("its folder cannot be made: it is a file");
+  if (fs::exists(folder, error) && ::access(folder.c_str(), W_OK) != 0) refuse("its folder cannot be written to");
+}
+
+/// The identity in a MODEL.calibration.json; unknown without one.
+Identity calibration_identity(const fs::path& record) {
+  std::ifstream stream(record, std::ios::binary);
+  const auto json = ordered_json::parse(stream, nullptr, false);
+  return json.is_object() && json.contains("provenance") ? identity_in(json["provenance"].dump(), record.string())
+                                                         : Identity();
 }
 
 std::string row_name(const CalibrationRow& row) {
@@ -85,6 +94,9 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   require_place(out, files);
   const fs::path model = files.empty() ? fs::path() : files.front();
 
+  const Identity identity = learning_identity(given, "calibrate", folders);
+  const fs::path record = fs::path(out).replace_extension(".calibration.json");
+  if (fs::exists(out)) require_identity(out.string(), calibration_identity(record), identity, context.accept_changed);
   const Dataset dataset = read_datasets(context, folders, given.task);
   const auto trained_on = learner->trained_on();
   if (trained_on.empty()) {
@@ -106,6 +118,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
     context.say("calibrating on " + std::to_string(counts[d]) + " of the " + std::to_string(all[d]) + " examples of " +
                 folders[d]);
   }
+  make_result_folder(out.has_parent_path() ? out.parent_path() : fs::path("."));
   const CalibrationReport report =
       learner->calibrate(dataset, examples, given.task, {.seed = given.seed, .model = out});
   say_rows(context, report.rows);
@@ -131,9 +144,9 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
                             {"added_m", row.added_m}});
   }
   if (!report.json.empty()) json["details"] = ordered_json::parse(report.json);
-  json["provenance"] = ordered_json::parse(given.provenance());
+  json["provenance"] = ordered_json::parse(given.provenance(identity));
   const std::string text = json.dump(2) + "\n";
-  write_text(fs::path(out).replace_extension(".calibration.json"), text);
+  write_text(record, text);
   if (context.json) context.output() << text;
   context.say("calibrated on " + std::to_string(report.examples) + " examples: " + out.string());
   return 0;
@@ -144,6 +157,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
 void register_calibrate(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("calibrate", "Refit a trained predictor's sigma to other examples");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file whose predictor.params.model names the model")->required();

@@ -4,6 +4,7 @@
 #include <set>
 
 #include "commands.hpp"
+#include "identity/identity.hpp"
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
 #include "options.hpp"
@@ -24,6 +25,8 @@ int info(const Context& context, const std::string& folder) {
   std::map<std::int64_t, std::int64_t> lengths;
   std::map<std::string, std::int64_t> failures;
   std::set<std::string> commits;
+  std::map<std::string, std::int64_t> belonging;  // examples by what they belong to
+  std::map<std::string, Identity> identities;
   std::uintmax_t bytes = 0;
   for (const auto& file : files) {
     const Shard shard = read_shard(file);
@@ -31,6 +34,9 @@ int info(const Context& context, const std::string& folder) {
     bytes += fs::file_size(file);
     const auto provenance = ordered_json::parse(header.provenance, nullptr, false);
     commits.insert(provenance.is_object() ? provenance.value("commit", "unknown") : "unknown");
+    const Identity identity = identity_in(header.provenance, file.string());
+    identities[identity.hash()] = identity;
+    belonging[identity.hash()] += std::ssize(shard.examples);
     for (const auto& e : shard.examples) {
       ++examples;
       ++splits[static_cast<int>(header.split(e.index))];
@@ -51,6 +57,13 @@ int info(const Context& context, const std::string& folder) {
                     {"unsettled", unsettled},      {"segments", segments},  {"commits", commits}};
   for (std::size_t s = 0; s < 3; ++s) json["splits"][kSplitNames[s]] = splits[s];
   for (const auto& [length, count] : lengths) json["by_length"][std::to_string(length)] = count;
+  const Identity last = identity_in(header.provenance, folder);
+  json["mixed"] = ordered_json::array();
+  for (const auto& [hash, count] : belonging) {
+    if (hash == last.hash()) continue;
+    json["mixed"].push_back(
+        {{"identity", hash}, {"examples", count}, {"changes", last.changes_since(identities[hash])}});
+  }
   if (context.json) {
     context.output() << json.dump(2) << '\n';
     return 0;
@@ -68,6 +81,11 @@ int info(const Context& context, const std::string& folder) {
   std::printf("\nmade by commit:");
   for (const auto& commit : commits) std::printf(" %s", commit.c_str());
   std::printf("\n");
+  for (const auto& mixed : json["mixed"]) {
+    std::printf("MIXED: %lld examples belong to something else than the last ones:\n",
+                mixed["examples"].get<long long>());
+    for (const auto& change : mixed["changes"]) std::printf("  %s\n", change.get<std::string>().c_str());
+  }
   for (const auto& [text, count] : failures) std::printf("%6lld x %s\n", static_cast<long long>(count), text.c_str());
   return 0;
 }

@@ -2,6 +2,7 @@
 #include "commands.hpp"
 #include "evaluation_run.hpp"
 #include "experiments/estimation_evaluation.hpp"
+#include "report/times.hpp"
 
 namespace weft::app {
 namespace {
@@ -17,14 +18,15 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
         return estimation_runner(cases, evaluation.given.params.data, folder);
       },
       [](const SweepRow&) { return std::string("done"); });
-  const std::string json = estimation_evaluation_json(columns);
-  write_text(evaluation.out / "estimation.json", json);
-  write_text(evaluation.out / "estimation.csv", estimation_evaluation_csv(columns));
+  const std::string json = estimation_evaluation_json(columns), times = estimation_times_json(columns);
+  const std::string whole = with_times(json, times);
+  evaluation.write("estimation", json, estimation_evaluation_csv(columns), times, estimation_times_csv(columns));
   const auto& first = columns.front();
   write_estimation_shapes(first, *evaluation.given.task.garment, evaluation.source_folder(first.cases.source),
                           evaluation.out / "cases.h5");
-  if (context.json) context.output() << json;
-  context.say(estimation_evaluation_table(json));
+  if (context.json) context.output() << whole;
+  context.say(estimation_evaluation_table(whole));
+  evaluation.say_rows(columns);
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
   return evaluation.exit_code(columns);
@@ -39,7 +41,7 @@ void register_evaluate_estimation(CLI::App& app, Context& context) {
   add_common_options(*command, context);
   auto options = std::make_shared<EvaluationOptions>();
   auto methods = std::make_shared<std::vector<std::string>>();
-  add_evaluation_options(*command, *options);
+  add_evaluation_options(*command, context, *options);
   command->add_option("--methods", *methods, "estimation.method of each arm; default: the config's")
       ->check(CLI::IsMember(param_named(describe_params<SessionParams>(), "estimation.method").choices));
   command->callback([&context, options, methods] {

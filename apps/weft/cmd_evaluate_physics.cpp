@@ -9,6 +9,7 @@
 #include "experiments/physics/suite.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "report/times.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
 
@@ -51,8 +52,9 @@ int evaluate(Context& context, const std::string& file) {
   const auto task = std::make_shared<const Task>(given.task);
   const auto cases = physics_cases(given.params.physics, task, given.config);
   check_simulator(task->simulator, *task, *given.host);
-  const auto out = output_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
-  const ConfigNode saved = given.saved_config(out);
+  const auto out = result_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
+  const Identity identity = given.identity("evaluate physics");
+  require_unmixed(context, out, identity);
 
   std::vector<SimulatorVariant> variants{simulator_variant("default", *given.host, task->simulator)};
   if (!given.params.finer.is_null()) variants.push_back(simulator_variant("finer", *given.host, given.params.finer));
@@ -70,8 +72,11 @@ int evaluate(Context& context, const std::string& file) {
   std::vector<PhysicsRow> rows;
   for (auto& some : results) std::move(some.begin(), some.end(), std::back_inserter(rows));
 
-  write_text(out / "config.yaml", saved.to_yaml());
-  write_text(out / "provenance.json", given.provenance());
+  make_result_folder(out);
+  write_garment(given.task, out);
+  write_text(out / "config.yaml", given.saved_config().to_yaml());
+  write_text(out / "provenance.json", given.provenance(identity));
+  write_text(out / "times.json", times_json(given.host->threads(), {}));
   write_text(out / "physics.json", to_json(rows));
   write_text(out / "physics.csv", to_csv(rows));
   if (context.json) context.output() << to_json(rows);
@@ -87,6 +92,7 @@ int evaluate(Context& context, const std::string& file) {
 void register_evaluate_physics(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("physics", "A simulator against closed forms, each with its bound");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/physics.yaml")->required();
   command->callback([&context, file] { context.action = [&context, file] { return evaluate(context, *file); }; });

@@ -4,6 +4,7 @@
 #include "evaluation_run.hpp"
 #include "experiments/planning_evaluation.hpp"
 #include "options.hpp"
+#include "report/times.hpp"
 
 namespace weft::app {
 namespace {
@@ -20,14 +21,14 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
                       row.metric("error_mm"), row.metric("default_error_mm"), row.metric("first_plan_seconds"));
         return std::string(text);
       });
-  const std::string json = planning_evaluation_json(columns);
-  write_text(evaluation.out / "planning.json", json);
-  write_text(evaluation.out / "planning.csv", planning_evaluation_csv(columns));
+  const std::string json = planning_evaluation_json(columns), times = planning_times_json(columns);
+  evaluation.write("planning", json, planning_evaluation_csv(columns), times, planning_times_csv(columns));
   const auto& first = columns.front();
   write_planning_shapes(first, *evaluation.given.task.garment, evaluation.source_folder(first.cases.source),
                         evaluation.out / "cases.h5");
-  if (context.json) context.output() << json;
+  if (context.json) context.output() << with_times(json, times);
   for (const auto& column : columns) context.say(planning_evaluation_table(column));
+  evaluation.say_rows(columns);
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
   return evaluation.exit_code(columns);
@@ -42,7 +43,7 @@ void register_evaluate_planning(CLI::App& app, Context& context) {
   auto options = std::make_shared<EvaluationOptions>();
   auto widths = std::make_shared<std::vector<double>>();
   for (int i = 1; i <= 10; ++i) widths->push_back(i / 10.0);
-  add_evaluation_options(*command, *options);
+  add_evaluation_options(*command, context, *options);
   command->add_option("--widths", *widths, "Widths w of the knowledge of all properties")->check(within(0.0, 1.0));
   command->callback([&context, options, widths] {
     context.action = [&context, options, widths] { return evaluate(context, *options, *widths); };

@@ -6,6 +6,7 @@
 #include "experiments/prediction_evaluation.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "report/times.hpp"
 #include "weft/config.hpp"
 
 namespace weft::app {
@@ -58,18 +59,24 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
     throw ConfigError("weft evaluate prediction: --data FOLDER is required (or `dataset:` in the config)");
   const Dataset dataset = read_datasets(context, folders, given.task);
   warn_unless_held_out(*predictor, dataset, given.params.evaluation.split, *given.host);
-  const auto out = output_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
-  ConfigNode saved = given.saved_config(out);
+  const auto out = result_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
+  // The examples are there; how they were made is their own identity.
+  const auto keep = [](const ParamInfo& info) { return info.name != "dataset" && !info.name.starts_with("data."); };
+  const Identity identity = given.identity("evaluate prediction", keep, {}, {folders.begin(), folders.end()});
+  require_unmixed(context, out, identity);
 
   const PredictionEvaluation result =
       evaluate_prediction(*predictor, given.task, dataset, given.params.evaluation, given.seed, *given.host);
-  const std::string json = prediction_evaluation_json(result);
-  write_text(out / "config.yaml", saved.to_yaml());
-  write_text(out / "provenance.json", given.provenance());
+  const std::string json = prediction_evaluation_json(result), times = prediction_times_json(result);
+  make_result_folder(out);
+  write_garment(given.task, out);
+  write_text(out / "config.yaml", given.saved_config().to_yaml());
+  write_text(out / "provenance.json", given.provenance(identity));
+  write_text(out / "times.json", times_json(given.host->threads(), {{"prediction.json", times}}));
   write_text(out / "prediction.csv", prediction_evaluation_csv(result));
   write_text(out / "prediction.json", json);
   write_prediction_shapes(result, *given.task.garment, out / "cases.h5");
-  if (context.json) context.output() << json;
+  if (context.json) context.output() << with_times(json, times);
   char line[200];
   context.say("settled shape           n   mean mm  median mm     nll  coverage    nse  sigma mm");
   const auto row = [&](const char* name, const PredictionFigures& f) {
@@ -101,6 +108,7 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
 void register_evaluate_prediction(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("prediction", "Accuracy and calibration of a predictor on held-out examples");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();

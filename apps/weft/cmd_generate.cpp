@@ -9,6 +9,7 @@
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "report/times.hpp"
 #include "sdk/located_config.hpp"
 #include "simulation/task_config.hpp"
 #include "work_options.hpp"
@@ -28,37 +29,19 @@ void parse_shard(const std::string& text, GenerateOptions& options) {
   options.shard_count = count;
 }
 
-/// The part of a config that the examples depend on: the task, and how they are made.
-ConfigNode data_config(const ConfigNode& resolved, const Task& task, const PluginRegistry& registry,
-                       const std::filesystem::path& folder) {
-  const auto params = describe_params<ExperimentParams>();
-  const ConfigNode examples =
-      keep_params(resolved, params, [](const ParamInfo& info) { return info.decides == Decides::examples; });
-  return self_contained(examples, params, task, registry, folder);
-}
+/// Whether a key decides the examples: the task, and how they are made.
+bool decides_examples(const ParamInfo& info) { return info.decides == Decides::examples; }
 
-/// The header with which a folder is continued. A folder of an earlier version keeps its identity if its config, with
-/// today's defaults filled in, is the same. So a new parameter with a default does not orphan its examples.
-DatasetHeader continued(const DatasetHeader& header, const ConfigNode& saved, const std::filesystem::path& folder) {
-  const auto file = folder / "config.yaml";
-  const auto shards = list_shards(folder);
-  if (shards.empty() || !std::filesystem::exists(file)) return header;
-  DatasetHeader earlier;
-  try {
-    earlier = read_shard(shards.front()).header;
-  } catch (const ConfigError&) {
-    return header;  // damaged: it is made again
+/// What the first examples of a folder belong to.
+std::vector<Identity> recorded_in(const std::filesystem::path& folder) {
+  if (!std::filesystem::is_directory(folder)) return {};
+  for (const auto& file : list_shards(folder)) {
+    try {
+      return {identity_in(read_shard_header(file).provenance, file.string())};
+    } catch (const ConfigError&) {  // damaged: it is made again
+    }
   }
-  if (earlier.identity == header.identity || earlier.seed != header.seed ||
-      earlier.config != ConfigNode::load(file).to_yaml())
-    return header;
-  Context plain;  // today's overrides are not part of the old config
-  const Prepared<ExperimentParams> then(plain, file.string());
-  if (data_config(then.resolved, then.task, *then.registry, folder).to_yaml() != saved.to_yaml()) return header;
-  DatasetHeader same = header;
-  same.config = earlier.config;
-  same.identity = earlier.identity;
-  return same;
+  return {};
 }
 
 /// What child processes need to make examples.
@@ -77,20 +60,23 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   options.examples = examples;
   if (!shard.empty()) parse_shard(shard, options);
   if (context.out.empty()) throw ConfigError("weft generate: --out FOLDER is required");
-  const Prepared<ExperimentParams> given(context, file);
+  options.folder = result_folder(context, "");
+  const Prepared<ExperimentParams> given(context, file, recorded_in(options.folder), options.folder.string());
   check_simulator(given.task.simulator, given.task, *given.host);
-  options.folder = output_folder(context, "");
-  const ConfigNode saved = data_config(given.resolved, given.task, *given.registry, options.folder);
-  // The files must not depend on the threads or the machine.
-  auto provenance = nlohmann::ordered_json::parse(given.provenance());
-  for (const char* key : {"threads", "cores"}) provenance.erase(key);
-  const DatasetHeader header =
-      continued(make_dataset_header(given.task, given.params.data, given.seed, saved, provenance.dump(2) + "\n"), saved,
-                options.folder);
-  // The config of a folder with shards is theirs; generate_dataset() refuses any other.
+  const auto params = describe_params<ExperimentParams>();
+  const ConfigNode saved =
+      self_contained(keep_params(given.resolved, params, decides_examples), params, given.task, *given.registry);
+  const Identity identity = given.identity("generate", decides_examples);
+  const DatasetHeader header = header_to_add(
+      make_dataset_header(given.task, given.params.data, given.seed, saved, given.provenance(identity), identity),
+      options.folder, context.accept_changed);
+  // Nothing was refused, so from here on the folder changes. The config of a folder with shards is that of the first.
+  make_result_folder(options.folder);
   if (const auto config = options.folder / "config.yaml";
-      list_shards(options.folder).empty() || !std::filesystem::exists(config))
+      list_shards(options.folder).empty() || !std::filesystem::exists(config)) {
+    write_garment(given.task, options.folder);
     write_text(config, header.config);
+  }
 
   context.say("making " + std::to_string(examples) + " examples of " + given.task.garment->name + " (" +
               std::to_string(given.task.garment->vertex_count()) + " vertices), seed " + std::to_string(given.seed) +
@@ -114,6 +100,8 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   };
   const GenerateReport report = generate_dataset(given.task, given.params.data, header, options, *given.host, progress);
   const double rate = report.seconds > 0 ? static_cast<double>(report.made) / report.seconds : 0.0;
+  const nlohmann::ordered_json times{{"made", report.made}, {"seconds", report.seconds}, {"examples_per_s", rate}};
+  write_text(options.folder / "times.json", times_json(given.host->threads(), {{"dataset", times.dump()}}));
   if (context.json) {
     context.output() << nlohmann::ordered_json{{"made", report.made},         {"kept", report.kept},
                                                {"failed", report.failed()},   {"files", report.files},
@@ -139,6 +127,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
 void register_generate(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("generate", "Simulate manipulation examples of random controls and materials");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   auto examples = std::make_shared<std::int64_t>(0);
   auto shard = std::make_shared<std::string>();

@@ -2,9 +2,11 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
+#include "identity/sha256.hpp"
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "report/times.hpp"
 #include "session/replay.hpp"
 #include "simulation/task_config.hpp"
 
@@ -41,7 +43,6 @@ ordered_json to_json(const LonePlan& lone) {
           {"ended", to_json(plan.ended)},
           {"iterations", plan.iterations},
           {"evaluations", plan.evaluations},
-          {"plan_seconds", plan.seconds},
           {"knowledge", {{"centre", to_list(lone.knowledge.centre)}, {"width", to_list(lone.knowledge.width)}}},
           {"controls", to_json(plan.controls)}};
 }
@@ -55,29 +56,45 @@ ordered_json to_json(const LoneEstimates& lone) {
                     {"loss", one.loss},
                     {"nll", one.nll},
                     {"misfit", one.misfit},
-                    {"ended", to_json(one.ended)},
-                    {"estimate_seconds", one.seconds}});
+                    {"ended", to_json(one.ended)}});
   }
   return {{"true_material", lone.true_material ? ordered_json(to_list(*lone.true_material)) : ordered_json()},
           {"estimates", list}};
 }
 
-/// Reads the config and the recorded session, lets `compute` work, saves what it returns as NAME.json.
+ordered_json times_of(const LonePlan& lone) { return {{"plan_seconds", lone.plan.seconds}}; }
+ordered_json times_of(const LoneEstimates& lone) {
+  auto list = ordered_json::array();
+  for (const Estimate& one : lone.estimates) list.push_back({{"estimate_seconds", one.seconds}});
+  return {{"estimates", list}};
+}
+
+/// Reads the config and the recorded session, lets `compute` work, saves what it returns as NAME.json and times.json.
 template <class Compute>
 int run_alone(Context& context, const Options& options, const std::string& name, const Compute& compute) {
   const Prepared<SessionParams> given(context, options.config);
   std::optional<SessionRecord> recorded;
-  if (!options.session.empty())
+  std::vector<std::pair<std::string, std::string>> besides;
+  if (!options.session.empty()) {
     recorded = read_session(session_file(options.session));
-  else
+    besides = {{"session", "sha256 " + sha256_of_file(session_file(options.session))},
+               {"segment", std::to_string(options.segment)}};
+  } else {
     check_simulator(given.task.simulator, given.task, *given.host);  // which makes the fresh session
-  const std::string json = compute(given, recorded ? &*recorded : nullptr).dump(2) + "\n";
+  }
   const auto stem = std::filesystem::path(options.config).stem().string();
-  const auto folder = output_folder(context, name + "-" + stem + "-seed" + std::to_string(given.seed));
-  write_text(folder / "config.yaml", given.saved_config(folder).to_yaml());
-  write_text(folder / "provenance.json", given.provenance());
+  const auto folder = result_folder(context, name + "-" + stem + "-seed" + std::to_string(given.seed));
+  const Identity identity = given.identity(
+      name, [](const ParamInfo&) { return true; }, besides);
+  const auto result = compute(given, recorded ? &*recorded : nullptr);
+  const std::string json = to_json(result).dump(2) + "\n", times = times_of(result).dump();
+  make_result_folder(folder);
+  write_garment(given.task, folder);
+  write_text(folder / "config.yaml", given.saved_config().to_yaml());
+  write_text(folder / "provenance.json", given.provenance(identity));
   write_text(folder / (name + ".json"), json);
-  if (context.json) context.output() << json;
+  write_text(folder / "times.json", times_json(given.host->threads(), {{name + ".json", times}}));
+  if (context.json) context.output() << with_times(json, times);
   context.say("results in " + folder.string());
   return 0;
 }
@@ -90,7 +107,7 @@ int plan(Context& context, const Options& options) {
                   lone.plan.controls.rows(), lone.plan.releases ? "" : " (no release yet)",
                   lone.plan.predicted_error_mm, lone.plan.seconds);
     context.say(line);
-    return to_json(lone);
+    return lone;
   });
 }
 
@@ -109,7 +126,7 @@ int estimate(Context& context, const Options& options) {
         for (std::size_t j = 0; j < lone.estimates.size(); ++j)
           row("segment " + std::to_string(j + 1), lone.estimates[j].knowledge);
         if (lone.true_material) row("truth", MaterialKnowledge::certain(*lone.true_material));
-        return to_json(lone);
+        return lone;
       });
 }
 

@@ -4,6 +4,7 @@
 #include "commands.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "report/times.hpp"
 #include "session/session.hpp"
 #include "session/session_file.hpp"
 
@@ -13,7 +14,9 @@ namespace {
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
   const auto folder =
-      output_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
+      result_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
+  const Identity identity = given.identity("run");
+  require_unmixed(context, folder, identity);
 
   context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
@@ -26,7 +29,7 @@ int run(Context& context, const std::string& file) {
     context.say(line);
   };
   const SessionResult result = run_configured_session(given.params, given.config, *given.host, progress);
-  ConfigNode saved = given.saved_config(folder);
+  ConfigNode saved = given.saved_config();
   const EnvironmentParams& environment = given.params.environment;
   if (!environment.simulated() && environment.folder.empty()) {
     // The command must run in the same folder when the saved config is run from another one.
@@ -38,14 +41,18 @@ int run(Context& context, const std::string& file) {
     for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
     saved = saved.with("planning.replay_iterations", ConfigNode::sequence(counts));
   }
-  const std::string provenance = given.provenance();
-  const std::string summary = session_summary_json(result);
+  const std::string provenance = given.provenance(identity);
+  const std::string summary = session_summary_json(result), times = session_times_json(result);
+  make_result_folder(folder);
+  write_session(folder / "session.h5", result, given.task, saved,
+                provenance);  // first: it is what cannot be made again
+  write_garment(given.task, folder);
   write_text(folder / "config.yaml", saved.to_yaml());
   write_text(folder / "provenance.json", provenance);
-  write_session(folder / "session.h5", result, given.task, saved, provenance);
   write_text(folder / "summary.json", summary);
+  write_text(folder / "times.json", times_json(given.host->threads(), {{"summary.json", times}}));
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
-  if (context.json) context.output() << summary;
+  if (context.json) context.output() << with_times(summary, times);
   char line[200];
   std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm)",
                 result.shapes_are_true ? "" : "observed ", result.error_mm, result.rounds.size(),
@@ -69,6 +76,7 @@ int run(Context& context, const std::string& file) {
 void register_run(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("run", "Run one whole session: plan, execute, look, re-plan, release");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Task file, such as configs/tasks/tshirt_fold.yaml")->required();
   command->callback([&context, file] { context.action = [&context, file] { return run(context, *file); }; });

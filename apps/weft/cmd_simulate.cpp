@@ -2,6 +2,7 @@
 
 #include "commands.hpp"
 #include "output.hpp"
+#include "report/times.hpp"
 #include "simulation/scene.hpp"
 
 namespace weft::app {
@@ -32,7 +33,8 @@ int simulate(Context& context, const std::string& file) {
   const auto host = context.host(registry, run.seed);
   run.simulator = registry->resolve(Simulator::kKind, run.simulator);
 
-  const auto folder = output_folder(context, std::filesystem::path(file).stem().string());
+  const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
+  make_result_folder(folder);
   const auto frames = folder / "frames";
   std::filesystem::create_directories(frames);
   remove_old_frames(frames);
@@ -48,11 +50,12 @@ int simulate(Context& context, const std::string& file) {
     mesh.positions = simulator.positions();
     write_obj(frames / frame_name(frame), mesh);
   });
-  const std::string summary = scene_summary_json(run, result);
-  write_text(folder / "provenance.json", provenance_json(*registry, *host, run.seed));
+  const std::string summary = scene_summary_json(run, result), times = scene_times_json(result);
+  write_text(folder / "provenance.json", provenance_json(*registry, run.seed, Identity()));
   write_text(folder / "summary.json", summary);
+  write_text(folder / "times.json", times_json(host->threads(), {{"summary.json", times}}));
   for (const auto& warning : result.warnings) host->log(LogLevel::warning, warning);
-  if (context.json) context.output() << summary;
+  if (context.json) context.output() << with_times(summary, times);
   char line[200];
   std::snprintf(line, sizeof line, "%lld frames, largest speed %.2g m/s, largest strain %.2g %%, %lld intersections",
                 static_cast<long long>(result.frames), result.max_speed, 100.0 * result.final_strain,

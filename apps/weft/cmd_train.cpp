@@ -1,15 +1,54 @@
 #include <cstdio>
+#include <fstream>
+#include <iostream>
+#include <iterator>
+#include <nlohmann/json.hpp>
 
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "report/times.hpp"
 #include "weft/trainable.hpp"
 
 namespace weft::app {
 namespace {
 
 namespace fs = std::filesystem;
+using nlohmann::ordered_json;
+
+/// A text that is written at once, in a folder that is made if needed, and taken back unless keep() is called: a command
+/// that is refused later leaves the disk as it was.
+class PlacedText {
+ public:
+  PlacedText(fs::path file, const std::string& text) : file_(std::move(file)) {
+    const fs::path folder = file_.has_parent_path() ? file_.parent_path() : fs::path(".");
+    has_new_folder_ = !fs::exists(folder);
+    make_result_folder(folder);
+    if (std::ifstream stream(file_, std::ios::binary); stream) earlier_ = {std::istreambuf_iterator<char>(stream), {}};
+    write_text(file_, text);
+  }
+  ~PlacedText() {
+    if (is_kept_) return;
+    std::error_code ignored;
+    try {
+      if (earlier_.empty())
+        fs::remove(file_, ignored);
+      else
+        write_text(file_, earlier_);
+    } catch (const Error&) {  // the error that led here is the one to report
+    }
+    if (has_new_folder_) fs::remove(file_.parent_path(), ignored);  // fails unless it is empty
+  }
+  PlacedText(const PlacedText&) = delete;
+  PlacedText& operator=(const PlacedText&) = delete;
+  void keep() { is_kept_ = true; }
+
+ private:
+  fs::path file_;
+  std::string earlier_;
+  bool is_kept_ = false, has_new_folder_ = false;
+};
 
 std::string duration(double seconds) {
   char text[40];
@@ -24,7 +63,11 @@ std::string duration(double seconds) {
 
 int train(Context& context, const std::string& file, std::vector<std::string> folders) {
   const fs::path model = model_file(context, "weft train");
-  const Prepared<ExperimentParams> given(context, file);
+  const fs::path record = fs::path(model).replace_extension(".provenance.json");
+  const fs::path checkpoint = fs::path(model).replace_extension(".checkpoint.h5");
+  const bool is_used = fs::exists(model) || fs::exists(checkpoint);
+  const Identity earlier = is_used ? read_identity(record) : Identity();
+  const Prepared<ExperimentParams> given(context, file, {earlier}, record.string());
   if (given.params.predictor.is_null())
     given.config.fail("predictor is missing; name one that learns, such as {plugin: emd}");
   const auto predictor = given.host->create<Predictor>(given.params.predictor);
@@ -34,33 +77,48 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
   if (folders.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
 
-  const Dataset dataset = read_datasets(context, folders, given.task);
-  if (model.has_parent_path()) fs::create_directories(model.parent_path());
+  const Identity identity = learning_identity(given, "train", folders);
   FitOptions options;
   options.seed = given.seed;
   options.model = model;
-  options.checkpoint = fs::path(model).replace_extension(".checkpoint.h5");
-  options.provenance = given.provenance();
+  options.checkpoint = checkpoint;
+  options.provenance = given.provenance(identity);
+  options.accept_changed = context.accept_changed;
+  if (is_used) require_identity(model.string(), earlier, identity, context.accept_changed);
+  const Dataset dataset = read_datasets(context, folders, given.task);
   char line[240];
   std::snprintf(line, sizeof(line), "training on %zu examples of %s, %zu for validation, %d threads%s",
                 dataset.select(Split::train).size(), dataset.header.garment_name.c_str(),
                 dataset.select(Split::validation).size(), given.host->threads(),
                 fs::exists(options.checkpoint) ? ", from the checkpoint" : "");
   context.say(line);
-  const FitReport report = learner->fit(dataset, given.task, options, [&](const FitProgress& p) {
+  PlacedText placed(record, options.provenance);  // before the first checkpoint, which belongs to it
+  const auto progress = [&](const FitProgress& p) {
     std::snprintf(line, sizeof(line),
                   "%7lld of %lld  train %8.4f  validation %8.4f (best %8.4f)  %5.1f mm  rate %.1e  %s to go",
                   static_cast<long long>(p.iteration), static_cast<long long>(p.iterations), p.training_loss,
                   p.validation_loss, p.best_loss, p.validation_error_mm, p.rate, duration(p.seconds_left).c_str());
     context.say(line);
     return true;
-  });
+  };
+  FitReport report;
+  try {
+    report = learner->fit(dataset, given.task, options, progress);
+    placed.keep();
+  } catch (...) {
+    if (!is_used && (fs::exists(model) || fs::exists(checkpoint))) placed.keep();  // a fit that began, and failed
+    throw;
+  }
   // The resolved config beside the results, with every default of the trained predictor.
   const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
+  const ordered_json seconds{
+      {"seconds", report.seconds},
+      {"iterations_per_s", static_cast<double>(report.iterations) / std::max(1e-9, report.seconds)}};
   write_text(out / "training.json", report.json);
+  write_text(out / "times.json", times_json(given.host->threads(), {{"training.json", seconds.dump()}}));
   write_text(out / "config.yaml",
              given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
-  if (context.json) context.output() << report.json;
+  if (context.json) context.output() << with_times(report.json, seconds.dump());
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
                 report.finished ? "done" : "stopped; run the same command again to go on",
                 static_cast<long long>(report.iterations), duration(report.seconds).c_str(), model.c_str());
@@ -73,6 +131,7 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
 void register_train(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("train", "Fit a predictor to the examples of `weft generate`");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();

@@ -104,6 +104,12 @@ void add_output_options(CLI::App& command, Context& context) {
   command.add_flag("--json", context.json, "Print the result as JSON");
 }
 
+void add_accept_option(CLI::App& command, Context& context) {
+  command.add_flag(
+      "--accept-changed", context.accept_changed,
+      "Go on where --out holds results of another config, file, plugin or version; what differs is recorded");
+}
+
 void add_common_options(CLI::App& command, Context& context) {
   command.add_option("--set", context.overrides, "Replace a value of the config: key.path=value (repeatable)")
       ->allow_extra_args(false)

@@ -22,6 +22,7 @@ struct Context {
   std::optional<std::uint64_t> seed;   ///< --seed
   std::string out;                     ///< --out
   int jobs = 0;                        ///< --jobs, 0: all cores
+  bool accept_changed = false;         ///< --accept-changed
   bool quiet = false;
   bool json = false;
   std::function<int()> action;
@@ -43,6 +44,9 @@ struct Context {
   /// Prints a line about a failure to stderr; nothing with --quiet.
   void complain(const std::string& line) const;
 };
+
+/// Adds --accept-changed to a subcommand that adds to a folder or writes over one.
+void add_accept_option(CLI::App& command, Context& context);
 
 /// Adds --set, --seed, --out, --jobs, --quiet and --json to a subcommand.
 void add_common_options(CLI::App& command, Context& context);

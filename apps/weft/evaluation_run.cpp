@@ -5,13 +5,15 @@
 #include "experiments/cell_work.hpp"
 #include "learning/dataset_files.hpp"
 #include "options.hpp"
+#include "report/times.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
 
 namespace weft::app {
 
-void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
+void add_evaluation_options(CLI::App& command, Context& context, EvaluationOptions& options) {
   command.add_option("config", options.file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
+  add_accept_option(command, context);
   command
       .add_option(
           "--goals", options.goals,
@@ -23,11 +25,25 @@ void add_evaluation_options(CLI::App& command, EvaluationOptions& options) {
   add_work_options(command, "cell", options.work);
 }
 
+namespace {
+
+/// What the cells of an evaluation's folder belong to.
+std::vector<Identity> recorded_in(const std::filesystem::path& out, const std::vector<std::string>& sources) {
+  std::vector<Identity> all;
+  for (const auto& source : sources)
+    for (auto& one : recorded_identities(out / source)) all.push_back(std::move(one));
+  return all;
+}
+
+}  // namespace
+
 EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name)
-    : given(context, options.file),
+    : out(result_folder(context, name + "-" + std::filesystem::path(options.file).stem().string())),
+      given(context, options.file, recorded_in(out, options.goals), out.string()),
       context_(context),
       options_(options),
-      kind_(name == "evaluate-planning" ? "planning" : "estimation") {
+      kind_(name == "evaluate-planning" ? "planning" : "estimation"),
+      command_(name) {
   require_distinct("--goals", options.goals);
   const auto& params = given.params;
   const auto& task = given.task;
@@ -40,9 +56,47 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
                               host);
   }
   check_simulator(task.simulator, task, host);
-  out = output_folder(context, name + "-" + std::filesystem::path(options.file).stem().string());
-  write_text(out / "config.yaml", given.saved_config(out).to_yaml());
-  write_text(out / "provenance.json", given.provenance());
+}
+
+void EvaluationRun::identify(EvaluationColumn& column, const std::filesystem::path& data) const {
+  const auto keys = describe_params<SessionParams>();
+  const auto keep = [](const ParamInfo& info) { return info.name != "seed"; };  // each cell has its own
+  for (auto& arm : column.plan.arms) {
+    SessionParams params;
+    const ConfigNode resolved = read_params(arm.config, params);
+    IdentityInput input{arm.config, resolved, keys, given.task, *given.registry, keep};
+    input.besides = {{"command", command_}, {"cases", column.plan.description}};
+    if (column.cases.dataset) input.data = {data};
+    arm.identity = make_identity(input);
+    // Its cells run with the numeric variants that were chosen here.
+    arm.config = with_recorded_variants(arm.config, keys, *given.registry, {arm.identity}, "arm '" + arm.name + "'");
+  }
+}
+
+void EvaluationRun::begin(std::vector<EvaluationColumn>& columns, const std::filesystem::path& data) {
+  const Identity identity = identity_of_command(command_);
+  require_unmixed(context_, out, identity);
+  for (auto& column : columns) {
+    identify(column, data);
+    earlier_.push_back(read_sweep(column.plan, source_folder(column.cases.source), context_.accept_changed));
+  }
+  // Nothing was refused, so from here on the folder changes.
+  make_result_folder(out);
+  write_garment(given.task, out);
+  write_text(out / "config.yaml", given.saved_config().to_yaml());
+  write_text(out / "provenance.json", given.provenance(identity));
+}
+
+void EvaluationRun::write(const std::string& name, const std::string& json, const std::string& csv,
+                          const std::string& times, const std::string& times_of_cells) const {
+  write_text(out / (name + ".json"), json);
+  write_text(out / (name + ".csv"), csv);
+  write_text(out / "times.json", times_json(given.host->threads(), {{name + ".json", times}}));
+  write_text(out / "times.csv", times_of_cells);
+}
+
+void EvaluationRun::say_rows(const std::vector<EvaluationColumn>& columns) const {
+  for (std::size_t i = 0; i < columns.size(); ++i) say_mixed(context_, columns[i].plan, columns[i].rows, earlier_[i]);
 }
 
 std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, const MakeRunner& make_runner,
@@ -65,9 +119,11 @@ std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, cons
     column.plan = make_plan(column.cases);
     columns.push_back(std::move(column));
   }
+  begin(columns, folder);
   for (auto& column : columns) {
     SweepOptions cells;
     cells.folder = source_folder(column.cases.source);
+    cells.accept_changed = context_.accept_changed;
     cells.jobs = given.host->threads();
     cells.registry = given.registry;
     cells.cancel = context_.cancel_flag();

@@ -18,7 +18,7 @@ struct EvaluationOptions {
   std::int64_t cases = 50;
   WorkOptions work;
 };
-void add_evaluation_options(CLI::App& command, EvaluationOptions& options);
+void add_evaluation_options(CLI::App& command, Context& context, EvaluationOptions& options);
 
 class EvaluationRun {
  public:
@@ -32,19 +32,32 @@ class EvaluationRun {
   std::vector<EvaluationColumn> run(const MakePlan& make_plan, const MakeRunner& make_runner,
                                     const std::function<std::string(const SweepRow&)>& line);
 
+  /// Writes NAME.json and NAME.csv, and their times to times.json and times.csv.
+  void write(const std::string& name, const std::string& json, const std::string& csv, const std::string& times,
+             const std::string& times_of_cells) const;
+  /// Says which rows belong to something else than the others, and which were not asked for.
+  void say_rows(const std::vector<EvaluationColumn>& columns) const;
+
+  std::filesystem::path out;
   Prepared<ExperimentParams> given;
   ConfigNode session;  ///< config of the cells
-  std::filesystem::path out;
 
   /// Says what is missing or failed. @return the command's exit code.
   int exit_code(const std::vector<EvaluationColumn>& columns) const;
   std::filesystem::path source_folder(const std::string& source) const { return out / source; }
 
  private:
+  /// Notes what the cells of a column belong to. @param data the folder that its cases come from, unless they are fresh.
+  void identify(EvaluationColumn& column, const std::filesystem::path& data) const;
+  /// Checks what the folder holds, then writes config and provenance. @throws ConfigError for other results.
+  void begin(std::vector<EvaluationColumn>& columns, const std::filesystem::path& data);
+
   Context& context_;
   EvaluationOptions options_;
   std::string kind_;  ///< of CellWork
+  std::string command_;
   std::shared_ptr<Predictor> predictor_;
+  std::vector<SweepFolder> earlier_;  ///< what the folders of the sources held
 };
 
 }  // namespace weft::app

@@ -1,8 +1,10 @@
 #include "output.hpp"
 
+#include <cstdio>
 #include <nlohmann/json.hpp>
-#include <thread>
+#include <set>
 
+#include "identity/sha256.hpp"
 #include "report/page.hpp"
 #include "weft_commit.hpp"
 
@@ -16,40 +18,84 @@ fs::path session_file(const std::string& given) {
   return file;
 }
 
-fs::path output_folder(const Context& context, const std::string& name) {
+fs::path result_folder(const Context& context, const std::string& name) {
   const fs::path folder = context.out.empty() ? fs::path("results") / name : fs::path(context.out);
+  if (fs::exists(folder) && !fs::is_directory(folder))
+    throw ConfigError("--out " + folder.string() + ": the folder cannot be made: it is a file");
+  return folder;
+}
+
+void make_result_folder(const fs::path& folder) {
   std::error_code error;
   fs::create_directories(folder, error);
   if (!fs::is_directory(folder))
     throw ConfigError("--out " + folder.string() + ": the folder cannot be made: " + error.message());
-  return folder;
 }
 
-std::string provenance_json(const PluginRegistry& registry, const Host& host, std::uint64_t seed) {
+void require_unmixed(const Context& context, const fs::path& folder, const Identity& now) {
+  const fs::path file = folder / "provenance.json";
+  if (!context.accept_changed && fs::exists(file)) require_identity(folder.string(), read_identity(file), now, false);
+}
+
+std::string provenance_json(const PluginRegistry& registry, std::uint64_t seed, const Identity& identity) {
   auto plugins = nlohmann::ordered_json::array();
   for (const auto& entry : registry.used()) {
-    plugins.push_back({{"kind", entry.kind}, {"name", entry.name}, {"version", entry.version}});
+    plugins.push_back({{"kind", entry.kind},
+                       {"name", entry.name},
+                       {"version", entry.version},
+                       {"sha256", sha256_of_file(entry.file)}});
   }
-  return nlohmann::ordered_json{{"weft", WEFT_VERSION},      {"commit", WEFT_COMMIT},
-                                {"compiler", __VERSION__},   {"seed", seed},
-                                {"threads", host.threads()}, {"cores", std::thread::hardware_concurrency()},
-                                {"plugins", plugins}}
-             .dump(2) +
-         "\n";
+  nlohmann::ordered_json json{
+      {"weft", WEFT_VERSION}, {"commit", WEFT_COMMIT}, {"compiler", __VERSION__}, {"seed", seed}, {"plugins", plugins}};
+  if (identity.is_known()) json["identity"] = nlohmann::ordered_json::parse(identity.to_json());
+  return json.dump(2) + "\n";
 }
 
+namespace {
+
+/// The folders that the plugins came from, but for the one that is always searched.
+ConfigNode plugin_folders(const PluginRegistry& registry) {
+  std::set<fs::path> used;
+  for (const auto& entry : registry.used()) used.insert(fs::absolute(entry.file).parent_path().lexically_normal());
+  used.erase(fs::absolute(PluginRegistry::default_search_path().back()).lexically_normal());
+  std::vector<ConfigNode> folders;
+  for (const auto& folder : registry.search_path()) {  // in the order in which they were searched
+    const fs::path whole = fs::absolute(folder).lexically_normal();
+    const fs::path name = whole.has_filename() ? whole : whole.parent_path();
+    if (used.erase(name) > 0) folders.push_back(ConfigNode::quoted(name.string()));
+  }
+  return ConfigNode::sequence(std::move(folders));
+}
+
+}  // namespace
+
 ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
-                          const PluginRegistry& registry, const fs::path& folder) {
+                          const PluginRegistry& registry) {
   const auto& garment = *task.garment;
-  write_obj(folder / "garment.obj", {garment.positions, garment.faces, garment.rest, garment.name}, true);
   std::vector<std::pair<std::string, ConfigNode>> vertices;
   for (const auto& [name, index] : garment.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
-  const ConfigNode config = resolved
-                                .with("garment", ConfigNode::mapping({{"mesh", ConfigNode::quoted("garment.obj")},
-                                                                      {"name", ConfigNode::quoted(garment.name)},
-                                                                      {"vertices", ConfigNode::mapping(vertices)}}))
-                                .with("material", write_material_space(task.material));
-  return registry.resolve_slots(config, params);
+  const ConfigNode config =
+      registry.resolve_slots(resolved
+                                 .with("garment", ConfigNode::mapping({{"mesh", ConfigNode::quoted("garment.obj")},
+                                                                       {"name", ConfigNode::quoted(garment.name)},
+                                                                       {"vertices", ConfigNode::mapping(vertices)}}))
+                                 .with("material", write_material_space(task.material)),
+                             params);
+  const ConfigNode folders = plugin_folders(registry);
+  const bool had_some = config.has("plugin_path") && config.at("plugin_path").size() > 0;
+  return folders.size() > 0 || had_some ? config.with("plugin_path", folders) : config;
+}
+
+void write_garment(const Task& task, const fs::path& folder, const std::string& name) {
+  const auto& garment = *task.garment;
+  write_obj(folder / name, {garment.positions, garment.faces, garment.rest, garment.name}, true);
+}
+
+void say_mixed(const Context& context, const SweepPlan& plan, const std::vector<SweepRow>& rows,
+               const SweepFolder& earlier) {
+  const std::string mixed = mixed_rows_text(plan, rows), others = other_rows_text(earlier.others);
+  if (!mixed.empty()) std::fputs(mixed.c_str(), stderr);
+  if (!others.empty()) context.say(others);
 }
 
 void write_page(const Context& context, const fs::path& folder) {

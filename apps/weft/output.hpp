@@ -4,25 +4,41 @@
 #include <vector>
 
 #include "context.hpp"
+#include "experiments/sweep_rows.hpp"
+#include "identity/identity.hpp"
 #include "sdk/files.hpp"
 #include "simulation/task_config.hpp"
 
 namespace weft::app {
 
-/// The folder of a result: what --out names, or results/<name>. Made here. @throws ConfigError if it is a file.
-std::filesystem::path output_folder(const Context& context, const std::string& name);
+/// The folder of a result: what --out names, or results/<name>. It need not exist. @throws ConfigError if it is a file.
+std::filesystem::path result_folder(const Context& context, const std::string& name);
+/// Makes it. @throws ConfigError with the reason if it cannot be made.
+void make_result_folder(const std::filesystem::path& folder);
+/// Refuses a folder that holds results of another identity, as its provenance.json has it. Changes nothing on the disk.
+/// @throws ConfigError naming what differs, unless --accept-changed was given.
+void require_unmixed(const Context& context, const std::filesystem::path& folder, const Identity& now);
 
 /// session.h5 of the path that a user gives: the file, or the folder of a run. @throws ConfigError when there is none.
 std::filesystem::path session_file(const std::string& given);
 
-/// Version, commit, plugins used, threads and machine: enough, with the resolved config, to repeat a run exactly.
-std::string provenance_json(const PluginRegistry& registry, const Host& host, std::uint64_t seed);
+/// Version, commit, plugins used and the identity: enough, with the resolved config, to repeat a run exactly. The same
+/// text on every machine.
+std::string provenance_json(const PluginRegistry& registry, std::uint64_t seed, const Identity& identity);
 
-/// Makes the resolved config of a task independent of where its files lie: the garment goes into the folder as
-/// garment.obj, the material space into the config itself, every plugin slot gets every default.
+/// Makes the resolved config of a task independent of where its files lie: the garment is garment.obj beside it, the
+/// material space is in the config itself, every plugin slot has every default, and plugin_path has the folders that the
+/// plugins came from.
 /// @param params the config's keys: describe_params<...>().
 ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
-                          const PluginRegistry& registry, const std::filesystem::path& folder);
+                          const PluginRegistry& registry);
+/// Writes the garment.obj of self_contained(), also under another name.
+void write_garment(const Task& task, const std::filesystem::path& folder, const std::string& name = "garment.obj");
+
+/// Says which rows of a sweep belong to something else than the others, and which are not asked for. The former is also
+/// said with --quiet, on stderr.
+void say_mixed(const Context& context, const SweepPlan& plan, const std::vector<SweepRow>& rows,
+               const SweepFolder& earlier);
 
 /// Writes folder/report.html from the results in the folder. Says where the page is, or why there is none.
 void write_page(const Context& context, const std::filesystem::path& folder);

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "context.hpp"
+#include "experiments/experiment_config.hpp"
 #include "output.hpp"
 #include "session/session.hpp"
 #include "weft/dataset.hpp"
@@ -16,20 +17,37 @@ namespace weft::app {
 /// @tparam Params SessionParams, or derived from it.
 template <class Params>
 struct Prepared {
-  Prepared(Context& context, const std::string& file) : config(context.load(file)) {
+  /// @param recorded what a used folder holds: plugins get the numeric variants that they had there, unless the config
+  /// names others. @param where that is, for messages.
+  Prepared(Context& context, const std::string& file, const std::vector<Identity>& recorded = {},
+           const std::string& where = "")
+      : config(context.load(file)) {
     resolved = read_params(config, params);
     if (context.jobs == 0) context.jobs = static_cast<int>(params.threads);
     registry = context.registry(config);
+    if (!recorded.empty()) {
+      config = with_recorded_variants(config, describe_params<Params>(), *registry, recorded, where);
+      resolved = read_params(config, params = Params());
+    }
     seed = static_cast<std::uint64_t>(params.seed);
     host = context.host(registry, seed);
     task = make_task(params.task, config, *host);
     check_session(params, config, task);
   }
-  std::string provenance() const { return provenance_json(*registry, *host, seed); }
-  /// The resolved config for a result's folder, see self_contained().
-  ConfigNode saved_config(const std::filesystem::path& folder) const {
-    return self_contained(resolved, describe_params<Params>(), task, *registry, folder);
+  /// @param command whose results belong to the identity. @param keep, besides, data as those of IdentityInput.
+  Identity identity(
+      const std::string& command,
+      const std::function<bool(const ParamInfo&)>& keep = [](const ParamInfo&) { return true; },
+      std::vector<std::pair<std::string, std::string>> besides = {},
+      std::vector<std::filesystem::path> data = {}) const {
+    const auto params_of_config = describe_params<Params>();
+    besides.insert(besides.begin(), {"command", command});
+    return make_identity(
+        {config, resolved, params_of_config, task, *registry, keep, std::move(besides), std::move(data)});
   }
+  std::string provenance(const Identity& identity) const { return provenance_json(*registry, seed, identity); }
+  /// The resolved config for a result's folder, see self_contained().
+  ConfigNode saved_config() const { return self_contained(resolved, describe_params<Params>(), task, *registry); }
 
   ConfigNode config, resolved;
   Params params;
@@ -38,6 +56,11 @@ struct Prepared {
   std::unique_ptr<Host> host;
   Task task;
 };
+
+/// What a fit or calibration belongs to: the task but for its simulator, which made the examples, the predictor and the
+/// examples.
+Identity learning_identity(const Prepared<ExperimentParams>& given, const std::string& command,
+                           const std::vector<std::string>& folders);
 
 /// The model file that --out names. @throws ConfigError without one.
 std::filesystem::path model_file(const Context& context, const std::string& command);

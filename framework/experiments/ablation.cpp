@@ -10,6 +10,7 @@
 #include "experiments/json_numbers.hpp"
 #include "experiments/physics/suite.hpp"
 #include "experiments/statistics.hpp"
+#include "experiments/sweep_rows.hpp"
 #include "sdk/fingerprint.hpp"
 #include "session/session.hpp"
 #include "weft/config.hpp"
@@ -250,20 +251,60 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
   return plan;
 }
 
-std::string ablation_csv(const AblationPlan& plan, const std::vector<SweepRow>& rows) {
-  const auto names = sweep_metrics(rows);
+namespace {
+
+/// The columns that say which cell a line is about.
+std::string cell_head(const AblationPlan& plan) {
   std::string text;
   for (const auto& factor : plan.factors) text += csv_field(factor) + ",";
-  text += plan.cases.empty() ? "seed,status" : "seed,case,status";
+  return text + (plan.cases.empty() ? "seed,status" : "seed,case,status");
+}
+std::string cell_fields(const AblationPlan& plan, const SweepRow& row) {
+  std::string text;
+  for (const auto& level : plan.arms[row.arm].levels) text += csv_field(level) + ",";
+  text += std::to_string(row.seed) + ",";
+  if (!plan.cases.empty()) text += csv_field(plan.cases.at(row.seed)) + ",";
+  return text + to_string(row.status);
+}
+
+/// Statistics of these metrics or times of an arm. @param unpaired out: seeds that were not compared.
+ordered_json statistics_of(const AblationPlan& plan, const Table& table, std::size_t arm,
+                           const std::vector<std::string>& names, std::size_t& unpaired) {
+  ordered_json metrics = ordered_json::object();
+  for (const auto& name : names) {
+    const Comparison c = compare(plan, table, arm, name);
+    ordered_json one = statistics_json(c.own);
+    if (plan.baseline[arm] != arm) one["difference"] = statistics_json(c.difference);
+    unpaired = c.unpaired;
+    metrics[name] = one;
+  }
+  return metrics;
+}
+
+}  // namespace
+
+std::string ablation_csv(const AblationPlan& plan, const std::vector<SweepRow>& rows) {
+  const auto names = sweep_metrics(rows);
+  std::string text = cell_head(plan);
   for (const auto& name : names) text += "," + csv_field(name);
-  text += ",failure\n";
+  text += ",failure,identity\n";
   for (const auto& row : rows) {
-    for (const auto& level : plan.arms[row.arm].levels) text += csv_field(level) + ",";
-    text += std::to_string(row.seed) + ",";
-    if (!plan.cases.empty()) text += csv_field(plan.cases.at(row.seed)) + ",";
-    text += to_string(row.status);
+    text += cell_fields(plan, row);
     for (const auto& name : names) text += "," + csv_number(row.metric(name));
-    text += "," + csv_field(row.failure) + "\n";
+    text += "," + csv_field(row.failure) + "," + row.identity + "\n";
+  }
+  return text;
+}
+
+std::string ablation_times_csv(const AblationPlan& plan, const std::vector<SweepRow>& rows) {
+  const auto names = sweep_times(rows);
+  std::string text = cell_head(plan);
+  for (const auto& name : names) text += "," + csv_field(name);
+  text += "\n";
+  for (const auto& row : rows) {
+    text += cell_fields(plan, row);
+    for (const auto& name : names) text += "," + csv_number(row.metric(name));
+    text += "\n";
   }
   return text;
 }
@@ -277,7 +318,7 @@ std::string ablation_json(const AblationPlan& plan, const std::vector<SweepRow>&
   json["arms"] = ordered_json::array();
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
     const auto& arm = plan.arms[a];
-    ordered_json levels = ordered_json::object(), metrics = ordered_json::object(), failures = ordered_json::array();
+    ordered_json levels = ordered_json::object(), failures = ordered_json::array();
     for (std::size_t f = 0; f < plan.factors.size(); ++f) levels[plan.factors[f]] = arm.levels[f];
     std::size_t done = 0, unpaired = 0;
     for (const auto& row : rows) {
@@ -287,20 +328,26 @@ std::string ablation_json(const AblationPlan& plan, const std::vector<SweepRow>&
       else
         failures.push_back({{"seed", row.seed}, {"status", to_string(row.status)}, {"failure", row.failure}});
     }
-    for (const auto& name : names) {
-      const Comparison c = compare(plan, table, a, name);
-      ordered_json one = statistics_json(c.own);
-      if (plan.baseline[a] != a) one["difference"] = statistics_json(c.difference);
-      unpaired = c.unpaired;
-      metrics[name] = one;
-    }
+    const ordered_json metrics = statistics_of(plan, table, a, names, unpaired);
     ordered_json one{{"name", arm.name}, {"levels", levels}, {"done", done}, {"failed", failures}};
     one["baseline"] = plan.baseline[a] == a ? ordered_json(nullptr) : ordered_json(plan.arms[plan.baseline[a]].name);
     one["unpaired"] = unpaired;
     one["metrics"] = metrics;
+    add_mixed(one, rows, a);
     json["arms"].push_back(one);
   }
-  return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
+  return text_of_json(json);
+}
+
+std::string ablation_times_json(const AblationPlan& plan, const std::vector<SweepRow>& rows) {
+  const auto names = sweep_times(rows);
+  const Table table(rows);
+  ordered_json json{{"arms", ordered_json::array()}};
+  for (std::size_t a = 0; a < plan.arms.size(); ++a) {
+    std::size_t unpaired = 0;
+    json["arms"].push_back({{"metrics", statistics_of(plan, table, a, names, unpaired)}});
+  }
+  return text_of_json(json);
 }
 
 std::string ablation_table(const AblationPlan& plan, const std::vector<SweepRow>& rows, const std::string& metric) {

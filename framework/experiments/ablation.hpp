@@ -50,10 +50,14 @@ struct AblationPlan : SweepPlan {
 /// @throws ConfigError with file and line, also if the cases of two arms differ.
 AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_seed = nullptr);
 
-/// One line per row: factors, seed, status, metrics, failure.
+/// One line per row: factors, seed, status, metrics, failure, the identity that it belongs to.
 std::string ablation_csv(const AblationPlan& plan, const std::vector<SweepRow>& rows);
-/// Statistics per arm and metric, and of the paired differences to the baseline over the seeds that both completed.
+/// Statistics per arm and metric, and of the paired differences to the baseline over the seeds that both completed. Arms
+/// with rows that belong to another identity say so under `mixed`.
 std::string ablation_json(const AblationPlan& plan, const std::vector<SweepRow>& rows);
+/// The same of what a clock measured: the times of ablation.json, and one line per row.
+std::string ablation_times_json(const AblationPlan& plan, const std::vector<SweepRow>& rows);
+std::string ablation_times_csv(const AblationPlan& plan, const std::vector<SweepRow>& rows);
 /// A table of one metric over the arms, for people.
 std::string ablation_table(const AblationPlan& plan, const std::vector<SweepRow>& rows, const std::string& metric);
 

@@ -124,6 +124,7 @@ void read_cell_end(const WorkEnd& end, SweepRow& row) {
     row.failure = json.at("failure").get<std::string>();
     if (row.status != WorkStatus::done) return;
     row.outcome.metrics = read_exact_numbers(json.at("metrics"));
+    row.outcome.times = read_exact_numbers(json.at("times"));
     row.outcome.paired_by = json.at("paired_by").get<std::string>();
     row.outcome.payload = {json.at("schema").get<std::string>(), json.at("payload").get<std::string>()};
   } catch (const std::exception& error) {

@@ -5,7 +5,7 @@
 /// The cells of `weft ablate`.
 namespace weft {
 
-/// Runs a session. Returns session_outcome() with the metric `cpu_seconds` added. @throws as the session.
+/// Runs a session. Returns session_outcome() with the time `cpu_seconds` added. @throws as the session.
 SweepOutcome run_session_cell(const ConfigNode& session, Host& host);
 /// The metrics of a session.
 SweepOutcome session_outcome(const SessionResult& result);

@@ -7,6 +7,7 @@
 
 #include "experiments/json_numbers.hpp"
 #include "experiments/statistics.hpp"
+#include "experiments/sweep_rows.hpp"
 #include "report/cases_file.hpp"
 #include "session/replay.hpp"
 #include "session/session.hpp"
@@ -69,13 +70,11 @@ ordered_json estimation_figures(const EvaluationColumn& column, std::size_t arm)
   std::vector<MaterialProperties> truth;
   std::vector<MaterialKnowledge> last;
   std::vector<MaterialPosterior> posteriors;
-  std::vector<double> seconds;
   for (const auto& row : column.rows) {
     if (row.arm != arm || !row.failure.empty()) continue;
     const EstimationCase one = estimation_case(row);
     truth.push_back(one.truth);
     last.push_back(one.knowledge.back());
-    seconds.push_back(row.metric("slowest_estimate_seconds"));
     if (one.posterior) posteriors.push_back(*one.posterior);
   }
   const std::size_t count = truth.size();
@@ -105,8 +104,6 @@ ordered_json estimation_figures(const EvaluationColumn& column, std::size_t arm)
         {"interval_score", json_number(f.score)}};
   }
   json["narrow_share"] = json_number(narrow / (4.0 * static_cast<double>(count)));  // w < 0.02
-  json["estimate_seconds"] = {{"median", json_number(quantile_of(seconds, 0.5))},
-                              {"max", json_number(quantile_of(seconds, 1.0))}};
   if (posteriors.size() == count && count > 0) {
     const PropertyVector scale = calibrate_deviations(posteriors, truth);
     std::vector<MaterialKnowledge> scaled;
@@ -140,11 +137,19 @@ ordered_json estimation_cases(const EvaluationColumn& column, std::size_t arm) {
       };
       add(MaterialKnowledge::none());
       for (const auto& k : found.knowledge) add(k);
-      one["slowest_estimate_seconds"] = json_number(row.metric("slowest_estimate_seconds"));
     }
     cases.push_back(one);
   }
   return cases;
+}
+
+/// The times of estimation_figures().
+ordered_json estimation_times(const EvaluationColumn& column, std::size_t arm) {
+  std::vector<double> seconds;
+  for (const auto& row : column.rows)
+    if (row.arm == arm && row.failure.empty()) seconds.push_back(row.metric("slowest_estimate_seconds"));
+  return {{"estimate_seconds",
+           {{"median", json_number(quantile_of(seconds, 0.5))}, {"max", json_number(quantile_of(seconds, 1.0))}}}};
 }
 
 /// The manipulation of a fresh case. A draw that fails or never releases is skipped.
@@ -271,9 +276,9 @@ SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& da
     }
     SweepOutcome outcome;
     outcome.metrics = {{"segments", static_cast<double>(example.segments())},
-                       {"slowest_estimate_seconds", slowest},
                        {"nll", estimates.back().nll},
                        {"misfit", estimates.back().misfit}};
+    outcome.times = {{"slowest_estimate_seconds", slowest}};
     outcome.paired_by = std::to_string(seed);
     outcome.payload = to_payload(found);
     return outcome;
@@ -316,7 +321,35 @@ std::string estimation_evaluation_json(const std::vector<EvaluationColumn>& colu
   json["complete"] = main.rows.size() == main.plan.cells();
   json["cases"] = estimation_cases(main, 0);
   json["columns"] = all;
+  add_mixed(json, main.rows, 0);
   return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
+}
+
+std::string estimation_times_json(const std::vector<EvaluationColumn>& columns) {
+  const auto& main = columns.front();
+  ordered_json json = estimation_times(main, 0);
+  json["cases"] = ordered_json::array();
+  for (const auto& row : main.rows) {
+    if (row.arm != 0) continue;
+    ordered_json one = ordered_json::object();
+    if (row.failure.empty()) one["slowest_estimate_seconds"] = json_number(row.metric("slowest_estimate_seconds"));
+    json["cases"].push_back(one);
+  }
+  json["columns"] = ordered_json::object();
+  for (const auto& column : columns)
+    for (std::size_t a = 0; a < column.plan.arms.size(); ++a)
+      json["columns"][column.cases.source][column.plan.arms[a].name] = estimation_times(column, a);
+  return json.dump(2) + "\n";
+}
+
+std::string estimation_times_csv(const std::vector<EvaluationColumn>& columns) {
+  std::string text = "cases,method,seed,slowest_estimate_seconds\n";
+  for (const auto& column : columns)
+    for (const auto& row : column.rows)
+      if (row.failure.empty())
+        text += column.cases.source + "," + column.plan.arms[row.arm].name + "," + std::to_string(row.seed) + "," +
+                text_of(row.metric("slowest_estimate_seconds")) + "\n";
+  return text;
 }
 
 std::string estimation_evaluation_csv(const std::vector<EvaluationColumn>& columns) {

@@ -35,7 +35,10 @@ SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& da
 /// top level; those of all are under `columns`.
 std::string estimation_evaluation_json(const std::vector<EvaluationColumn>& columns);
 std::string estimation_evaluation_csv(const std::vector<EvaluationColumn>& columns);
-/// A table for people. @param json from estimation_evaluation_json().
+/// The times of estimation.json, for times.json, and of the cases, for times.csv.
+std::string estimation_times_json(const std::vector<EvaluationColumn>& columns);
+std::string estimation_times_csv(const std::vector<EvaluationColumn>& columns);
+/// A table for people. @param json from estimation_evaluation_json(), joined with its times.
 std::string estimation_evaluation_table(const std::string& json);
 /// cases.h5 of the page: the cloth of estimation.json's `cases` at the start and after every segment, from
 /// folder/shapes.

@@ -7,6 +7,7 @@
 #include "experiments/cells.hpp"
 #include "experiments/json_numbers.hpp"
 #include "experiments/statistics.hpp"
+#include "experiments/sweep_rows.hpp"
 #include "report/cases_file.hpp"
 #include "session/session.hpp"
 #include "weft/config.hpp"
@@ -50,8 +51,7 @@ ordered_json planning_column(const EvaluationColumn& column) {
         one["failed"] = row.failure;
       } else {
         errors.push_back(row.metric("error_mm"));
-        for (const char* key : {"default_error_mm", "plan_seconds", "first_plan_seconds", "segments", "released"})
-          one[key] = json_number(row.metric(key));
+        for (const char* key : {"default_error_mm", "segments", "released"}) one[key] = json_number(row.metric(key));
       }
       json["cases"].push_back(one);
     }
@@ -68,7 +68,42 @@ ordered_json planning_column(const EvaluationColumn& column) {
                                 {"q3_mm", json_number(q3)},
                                 {"outliers", outliers}});
   }
+  add_mixed(json, column.rows, std::nullopt);
   return json;
+}
+
+constexpr const char* kTimes[] = {"first_plan_seconds", "plan_seconds"};
+
+/// The times of planning_column(), entry by entry of its cases.
+ordered_json planning_column_times(const EvaluationColumn& column) {
+  auto cases = ordered_json::array();
+  for (std::size_t a = 0; a < column.plan.arms.size(); ++a) {
+    for (const auto& row : column.rows) {
+      if (row.arm != a) continue;
+      ordered_json one = ordered_json::object();
+      for (const char* key : kTimes)
+        if (row.failure.empty()) one[key] = json_number(row.metric(key));
+      cases.push_back(one);
+    }
+  }
+  return {{"cases", cases}};
+}
+
+/// One line for each case, with these keys of it.
+std::string csv_of(const std::vector<std::pair<std::string, ordered_json>>& columns,
+                   const std::vector<std::string>& keys) {
+  std::string text = "goals";
+  for (const auto& key : keys) text += "," + key;
+  text += "\n";
+  for (const auto& [source, cases] : columns) {
+    for (const auto& one : cases) {
+      text += source;
+      for (const auto& key : keys)
+        text += "," + (one.contains(key) && !one[key].is_null() ? one[key].dump() : std::string());
+      text += "\n";
+    }
+  }
+  return text;
 }
 
 }  // namespace
@@ -150,20 +185,29 @@ std::string planning_evaluation_json(const std::vector<EvaluationColumn>& column
   return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
 }
 
+std::string planning_times_json(const std::vector<EvaluationColumn>& columns) {
+  ordered_json json = planning_column_times(columns.front());
+  json["columns"] = ordered_json::object();
+  for (std::size_t i = 1; i < columns.size(); ++i)
+    json["columns"][columns[i].cases.source] = planning_column_times(columns[i]);
+  return json.dump(2) + "\n";
+}
+
 std::string planning_evaluation_csv(const std::vector<EvaluationColumn>& columns) {
-  std::string text =
-      "goals,width,goal,seed,error_mm,default_error_mm,segments,released,first_plan_seconds,plan_seconds\n";
+  std::vector<std::pair<std::string, ordered_json>> all;
+  for (const auto& column : columns) all.emplace_back(column.cases.source, planning_column(column)["cases"]);
+  return csv_of(all, {"width", "goal", "seed", "error_mm", "default_error_mm", "segments", "released"});
+}
+
+std::string planning_times_csv(const std::vector<EvaluationColumn>& columns) {
+  std::vector<std::pair<std::string, ordered_json>> all;
   for (const auto& column : columns) {
-    const ordered_json json = planning_column(column);
-    for (const auto& one : json["cases"]) {
-      text += column.cases.source;
-      for (const char* key : {"width", "goal", "seed", "error_mm", "default_error_mm", "segments", "released",
-                              "first_plan_seconds", "plan_seconds"})
-        text += "," + (one.contains(key) && !one[key].is_null() ? one[key].dump() : std::string());
-      text += "\n";
-    }
+    ordered_json cases = planning_column(column)["cases"];
+    const ordered_json times = planning_column_times(column)["cases"];
+    for (std::size_t i = 0; i < cases.size(); ++i) cases[i].update(times[i]);
+    all.emplace_back(column.cases.source, std::move(cases));
   }
-  return text;
+  return csv_of(all, {"width", "goal", "seed", kTimes[0], kTimes[1]});
 }
 
 std::string planning_evaluation_table(const EvaluationColumn& column) {

@@ -21,6 +21,9 @@ SweepRunner planning_runner(const EvaluationCases& cases, const std::filesystem:
 /// others are under `columns`.
 std::string planning_evaluation_json(const std::vector<EvaluationColumn>& columns);
 std::string planning_evaluation_csv(const std::vector<EvaluationColumn>& columns);
+/// The times of both: of planning.json for times.json, and of the cases for times.csv.
+std::string planning_times_json(const std::vector<EvaluationColumn>& columns);
+std::string planning_times_csv(const std::vector<EvaluationColumn>& columns);
 /// A table for people.
 std::string planning_evaluation_table(const EvaluationColumn& column);
 /// cases.h5 of the page: goals and final shapes of the rows of planning.json's `cases`, from folder/shapes.

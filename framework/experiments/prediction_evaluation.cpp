@@ -170,7 +170,6 @@ std::string prediction_evaluation_json(const PredictionEvaluation& r) {
         {{"example", e.index}, {"segments", e.segments}, {"error_mm", e.error_mm}, {"sigma_mm", e.sigma_mm}});
   json["failed"] = r.failed;
   json["shortened"] = r.shortened;
-  json["predict_seconds"] = r.seconds;
   return json.dump(2) + "\n";
 }
 
@@ -183,6 +182,10 @@ void write_prediction_shapes(const PredictionEvaluation& r, const Garment& garme
   write_shapes(file, "/prediction/finals", r.predicted);
   file.write("/prediction/goal_of", {static_cast<Index>(goal_of.size())}, goal_of.data());
   file.commit();
+}
+
+std::string prediction_times_json(const PredictionEvaluation& r) {
+  return ordered_json{{"predict_seconds", r.seconds}}.dump(2) + "\n";
 }
 
 std::string prediction_evaluation_csv(const PredictionEvaluation& r) {

@@ -61,6 +61,8 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
                                          const PredictionEvaluationParams& params, std::uint64_t seed, Host& host);
 /// prediction.json (docs/file-formats.md).
 std::string prediction_evaluation_json(const PredictionEvaluation& result);
+/// Its times, for times.json.
+std::string prediction_times_json(const PredictionEvaluation& result);
 /// cases.h5 of the page: settled and predicted shapes of the first of prediction.json's `cases`.
 void write_prediction_shapes(const PredictionEvaluation& result, const Garment& garment,
                              const std::filesystem::path& file);

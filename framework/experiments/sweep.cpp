@@ -4,97 +4,45 @@
 #include <atomic>
 #include <chrono>
 #include <deque>
-#include <fstream>
 #include <limits>
 #include <mutex>
-#include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <thread>
 
 #include "experiments/cell_work.hpp"
-#include "experiments/json_numbers.hpp"
+#include "experiments/sweep_rows.hpp"
 #include "loader/program_host.hpp"
 #include "processes/claims.hpp"
 #include "processes/worker_process.hpp"
-#include "sdk/files.hpp"
-#include "sdk/fingerprint.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
 namespace {
 
 namespace fs = std::filesystem;
-using nlohmann::ordered_json;
 
-constexpr const char* kRowSchema = "weft sweep row 2";
-constexpr const char* kAblationSchema = "weft ablation row 1";  // the same without a payload; read, not written
-
-std::string cell_name(const SweepPlan& plan, std::size_t arm, std::uint64_t seed) {
-  return "seed" + std::to_string(seed) + "-arm" + std::to_string(arm) + "-" +
-         hex_digits(fnv1a(plan.arms[arm].name)).substr(0, 8) + ".json";
-}
-
-/// A hash of all that decides a cell's numbers. A row with another hash belongs to another sweep.
-std::string cell_fingerprint(const ConfigNode& config) { return hex_digits(fnv1a(config.to_yaml())); }
-
-void write_row(const SweepPlan& plan, const SweepRow& row, const std::string& fingerprint) {
-  ordered_json metrics = ordered_json::object();
-  for (const auto& [name, value] : row.outcome.metrics) metrics[name] = json_number(value);
-  ordered_json json{{"schema", kRowSchema},
-                    {"arm", plan.arms[row.arm].name},
-                    {"seed", row.seed},
-                    {"config", fingerprint},
-                    {"status", to_string(row.status)},
-                    {"failure", row.failure},
-                    {"paired_by", row.outcome.paired_by},
-                    {"metrics", metrics}};
-  const auto& payload = row.outcome.payload;
-  if (!payload.schema.empty())
-    json["payload"] = {{"schema", payload.schema}, {"value", ordered_json::parse(payload.json)}};
-  write_text(row.file, json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n");
-}
-
-SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, std::uint64_t seed,
-                  const std::string& fingerprint) {
-  SweepRow row{arm, seed, "", {}, file};
-  try {
-    std::ifstream stream(file, std::ios::binary);
-    const ordered_json json = ordered_json::parse(stream);
-    if (json.at("schema") != kRowSchema && json.at("schema") != kAblationSchema)
-      throw ConfigError(file.string() + ": is not a row of a sweep");
-    if (json.at("arm") != plan.arms[arm].name || json.at("seed") != seed || json.at("config") != fingerprint)
-      throw ConfigError(file.string() +
-                        ": belongs to a sweep with another config; give another --out, or remove its folder");
-    row.failure = json.at("failure").get<std::string>();
-    row.status = work_status_named(json.at("status").get<std::string>());
-    if ((row.status == WorkStatus::done) != row.failure.empty())
-      throw ConfigError(file.string() + ": is damaged: status and failure disagree");
-    row.outcome.paired_by = json.at("paired_by").get<std::string>();
-    for (const auto& [name, value] : json.at("metrics").items())
-      row.outcome.metrics.emplace_back(name, number_of(value));
-    if (const auto payload = json.find("payload"); payload != json.end())
-      row.outcome.payload = {payload->at("schema").get<std::string>(), payload->at("value").dump()};
-  } catch (const nlohmann::json::exception& error) {
-    throw ConfigError(file.string() + ": is damaged: " + error.what() + "; remove it to run its cell again");
-  }
-  return row;
+std::vector<std::string> names_in(const std::vector<SweepRow>& rows, SweepMetrics SweepOutcome::*part) {
+  std::vector<std::string> names;
+  for (const auto& row : rows)
+    for (const auto& [name, value] : row.outcome.*part)
+      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+  return names;
 }
 
 }  // namespace
 
 double SweepRow::metric(const std::string& name) const {
-  for (const auto& [key, value] : outcome.metrics)
-    if (key == name) return value;
+  for (const auto* part : {&outcome.metrics, &outcome.times})
+    for (const auto& [key, value] : *part)
+      if (key == name) return value;
   return std::numeric_limits<double>::quiet_NaN();
 }
 
 std::vector<std::string> sweep_metrics(const std::vector<SweepRow>& rows) {
-  std::vector<std::string> names;
-  for (const auto& row : rows)
-    for (const auto& [name, value] : row.outcome.metrics)
-      if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
-  return names;
+  return names_in(rows, &SweepOutcome::metrics);
 }
+std::vector<std::string> sweep_times(const std::vector<SweepRow>& rows) { return names_in(rows, &SweepOutcome::times); }
 
 namespace {
 
@@ -124,42 +72,32 @@ class Sweep {
     std::size_t arm;
     std::uint64_t seed;
     ConfigNode config;
-    std::string fingerprint;
     fs::path file;
     int attempt = 1;
   };
 
   bool cancelled() const { return options_.cancel != nullptr && *options_.cancel; }
   bool over() const { return stopping_ || cancelled(); }
+  std::vector<SweepRow> read() const { return read_sweep(plan_, options_.folder, options_.accept_changed).rows; }
 
   /// Seed by seed, so that the rows of an unfinished run can be compared.
-  std::vector<Cell> all_cells() const {
-    std::vector<Cell> cells;
+  void find_cells() {
+    std::set<std::pair<std::size_t, std::uint64_t>> there;
+    for (const auto& row : read()) {
+      if (tries_again(options_.retry, row.status))
+        fs::remove(row.file);
+      else
+        there.insert({row.arm, row.seed});
+    }
     for (const std::uint64_t seed : plan_.seeds) {
       for (std::size_t arm = 0; arm < plan_.arms.size(); ++arm) {
+        ++total_;
+        if (there.contains({arm, seed})) continue;
         const auto number = ConfigNode::integer(static_cast<std::int64_t>(seed));
-        Cell cell{arm, seed, plan_.arms[arm].config.with("seed", number), "",
-                  options_.folder / "cells" / cell_name(plan_, arm, seed)};
-        cell.fingerprint = cell_fingerprint(cell.config);
-        cells.push_back(std::move(cell));
+        todo_.push_back(
+            {arm, seed, plan_.arms[arm].config.with("seed", number), row_file(plan_, options_.folder, arm, seed)});
       }
     }
-    return cells;
-  }
-  SweepRow read(const Cell& cell) const { return read_row(cell.file, plan_, cell.arm, cell.seed, cell.fingerprint); }
-
-  void find_cells() {
-    auto cells = all_cells();
-    total_ = cells.size();
-    std::vector<fs::path> again;
-    for (auto& cell : cells) {
-      if (fs::exists(cell.file)) {
-        if (!tries_again(options_.retry, read(cell).status)) continue;
-        again.push_back(cell.file);
-      }
-      todo_.push_back(std::move(cell));
-    }
-    for (const auto& file : again) fs::remove(file);
   }
 
   void work() {
@@ -168,6 +106,7 @@ class Sweep {
       if (!options_.worker.empty()) child.emplace(options_.worker);
       while (const auto cell = next()) {
         SweepRow row{cell->arm, cell->seed, "", {}, cell->file};
+        row.identity = plan_.arms[cell->arm].identity.hash();
         if (cell->attempt > kMostAttempts) {
           row.status = WorkStatus::lost;
           row.failure = std::to_string(cell->attempt - 1) + " processes that ran it have vanished";
@@ -227,6 +166,7 @@ class Sweep {
         continue;
       }
       leftovers_.remove(cell->file);
+      leftovers_.remove(times_file(cell->file));
       Cell mine = std::move(*cell);
       cell = todo_.erase(cell);
       if (fs::exists(mine.file)) {  // whoever had the claim before has run it
@@ -242,7 +182,7 @@ class Sweep {
 
   void finish(const Cell& cell, const SweepRow& row) {
     const std::lock_guard lock(mutex_);
-    write_row(plan_, row, cell.fingerprint);
+    write_row(plan_, row);
     claims_.release(cell.file.stem().string());
     --at_work_;
     if (options_.progress) options_.progress(row, total_ - todo_.size() - at_work_, total_);
@@ -250,9 +190,11 @@ class Sweep {
   }
 
   std::vector<SweepRow> rows() const {
-    std::vector<SweepRow> rows;
-    for (const auto& cell : all_cells())
-      if (fs::exists(cell.file)) rows.push_back(read(cell));
+    std::vector<SweepRow> rows = read();
+    const auto order = [&](const SweepRow& row) {
+      return std::pair(std::find(plan_.seeds.begin(), plan_.seeds.end(), row.seed) - plan_.seeds.begin(), row.arm);
+    };
+    std::sort(rows.begin(), rows.end(), [&](const auto& a, const auto& b) { return order(a) < order(b); });
     return rows;
   }
 
@@ -281,10 +223,12 @@ std::unique_ptr<Host> make_cell_host(std::shared_ptr<const PluginRegistry> regis
 }
 
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options) {
+  read_sweep(plan, options.folder, options.accept_changed);  // refuses before anything changes
   const fs::path cells = options.folder / "cells";
   std::error_code problem;
   fs::create_directories(cells, problem);
   if (!fs::is_directory(cells)) throw Error(cells.string() + ": cannot be made: " + problem.message());
+  write_identities(plan, options.folder);
   return Sweep(plan, options).run();
 }
 

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "identity/identity.hpp"
 #include "loader/registry.hpp"
 #include "processes/work_status.hpp"
 #include "weft/config.hpp"
@@ -22,6 +23,7 @@ struct SweepArm {
   std::string name;                 ///< levels, comma-separated
   std::vector<std::string> levels;  ///< one per factor
   ConfigNode config;                ///< of its cells, without a seed
+  Identity identity;                ///< of its cells, without a seed
 };
 
 struct SweepPlan {
@@ -47,6 +49,7 @@ struct SweepOutcome {
   SweepMetrics metrics;
   std::string paired_by;  ///< fingerprint of what must be the same in all arms: goal, start and true material
   SweepPayload payload = {};
+  SweepMetrics times = {};  ///< what a clock measured, such as plan_seconds: it differs between equal runs
 };
 
 /// One arm with one seed.
@@ -55,19 +58,25 @@ struct SweepRow {
   std::uint64_t seed = 0;
   std::string failure;  ///< empty: the cell is done
   SweepOutcome outcome;
-  std::filesystem::path file = {};  ///< the row's file
+  std::filesystem::path file = {};        ///< the row's file
+  std::string identity = {};              ///< hash of the identity that it belongs to; empty: unknown
+  std::vector<std::string> changes = {};  ///< how its arm's identity differs from that one
   WorkStatus status = WorkStatus::done;
 
-  double metric(const std::string& name) const;  ///< NaN if there is no metric of this name
+  /// A metric or a time; NaN if there is none of this name.
+  double metric(const std::string& name) const;
 };
 /// Names of all metrics, in the order of first appearance.
 std::vector<std::string> sweep_metrics(const std::vector<SweepRow>& rows);
+/// The same of all times.
+std::vector<std::string> sweep_times(const std::vector<SweepRow>& rows);
 
 /// Runs a cell. @param config of the cell's arm, with `seed`. An exception becomes the row's failure.
 using SweepRunner = std::function<SweepOutcome(const ConfigNode& config, Host& host)>;
 
 struct SweepOptions {
   std::filesystem::path folder;  ///< rows go into folder/cells
+  bool accept_changed = false;   ///< go on where earlier rows belong to another identity
   int jobs = 1;                  ///< cells that this process runs at a time
   std::shared_ptr<const PluginRegistry> registry;
   const std::atomic<bool>* cancel = nullptr;
@@ -91,7 +100,7 @@ std::unique_ptr<Host> make_cell_host(std::shared_ptr<const PluginRegistry> regis
 /// run finishes a killed one. A cell that fails, crashes or hangs gets a row that says so; the other cells continue.
 /// Several processes may run one sweep: each claims the cells that it runs, and the call returns when all rows are there.
 /// @return all rows, [seeds * arms]; fewer if cancelled, or stopped by fail_fast.
-/// @throws ConfigError if the folder holds rows of another sweep, or a damaged row.
+/// @throws ConfigError if earlier rows belong to another identity and that is not accepted, or for a damaged row.
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options);
 
 }  // namespace weft

@@ -6,6 +6,7 @@
 #include <map>
 #include <set>
 
+#include "identity/identity.hpp"
 #include "sdk/fingerprint.hpp"
 #include "weft/hdf5_file.hpp"
 
@@ -80,10 +81,11 @@ Columns to_columns(const Shard& shard) {
 }
 
 void require_same(const fs::path& file, const DatasetHeader& a, const DatasetHeader& b) {
-  if (a.identity != b.identity) {
-    refuse(file, "belongs to another dataset (identity " + a.identity + ", wanted " + b.identity +
-                     "): config, seed or garment differ");
-  }
+  if (a.identity == b.identity) return;
+  std::string text = "belongs to another dataset (identity " + a.identity + ", wanted " + b.identity + "):";
+  const auto changes = identity_in(a.provenance, file.string()).changes_since(identity_in(b.provenance, file.string()));
+  for (const auto& change : changes) text += "\n  " + change;
+  refuse(file, changes.empty() ? text + " config, seed or garment differ" : text);
 }
 
 std::string example_fingerprint(const Example& e) {
@@ -282,12 +284,23 @@ void write_shard(const fs::path& path, const Shard& shard) {
   file.commit();
 }
 
-Shard read_shard(const fs::path& path) {
-  const auto file = Hdf5File::open(path);
+namespace {
+
+Hdf5File open_shard(const fs::path& path) {
+  auto file = Hdf5File::open(path);
   if (!file.has("/schema")) refuse(path, "is not a weft dataset");
   if (const auto schema = file.read_text("/schema"); schema != kSchema) {
     refuse(path, "has the schema '" + schema + "', this program reads '" + kSchema + "'");
   }
+  return file;
+}
+
+}  // namespace
+
+DatasetHeader read_shard_header(const fs::path& path) { return read_header(open_shard(path), path); }
+
+Shard read_shard(const fs::path& path) {
+  const auto file = open_shard(path);
   Shard shard;
   shard.header = read_header(file, path);
   const Columns columns = read_columns(file, path, shard.header);
@@ -318,11 +331,13 @@ Dataset load_dataset(const fs::path& folder, std::size_t max_examples) {
   Dataset dataset;
   const auto files = list_shards(folder);
   if (files.empty()) refuse(folder, "holds no dataset (no shard-*.h5)");
+  std::set<std::string> identities;
   for (const auto& file : files) {
     if (max_examples > 0 && dataset.examples.size() >= max_examples) break;
     Shard shard = read_shard(file);
     if (dataset.examples.empty()) dataset.header = shard.header;
     require_same(file, shard.header, dataset.header);
+    identities.insert(identity_in(shard.header.provenance, file.string()).hash());
     for (auto& e : shard.examples) {
       if (!dataset.examples.empty() && e.index <= dataset.examples.back().index) {
         refuse(file, "example " + std::to_string(e.index) +
@@ -330,6 +345,12 @@ Dataset load_dataset(const fs::path& folder, std::size_t max_examples) {
       }
       if (max_examples == 0 || dataset.examples.size() < max_examples) dataset.examples.push_back(std::move(e));
     }
+  }
+  if (identities.size() > 1) {
+    Fingerprint mixed;
+    mixed.add(dataset.header.identity);
+    for (const auto& identity : identities) mixed.add(identity);
+    dataset.header.identity = mixed.hex();
   }
   return dataset;
 }

@@ -17,12 +17,15 @@ struct Shard {
 void write_shard(const std::filesystem::path& file, const Shard& shard);
 /// Checks schema, shapes, finite numbers and the checksum of the content. @throws ConfigError naming file and reason.
 Shard read_shard(const std::filesystem::path& file);
+/// The header alone. @throws ConfigError naming file and reason.
+DatasetHeader read_shard_header(const std::filesystem::path& file);
 /// "shard-00012.h5"
 std::string shard_name(std::int64_t number);
 /// The shard files of a folder, sorted. @throws ConfigError if it is not a folder.
 std::vector<std::filesystem::path> list_shards(const std::filesystem::path& folder);
 
-/// Reads and checks every shard of a folder.
+/// Reads and checks every shard of a folder. If its examples belong to several identities (`weft generate
+/// --accept-changed`), the dataset gets an identity of its own.
 /// @param max_examples stop after this many; 0: all.
 /// @throws ConfigError for a damaged shard, shards of different datasets, or a folder without shards.
 Dataset load_dataset(const std::filesystem::path& folder, std::size_t max_examples = 0);

@@ -6,6 +6,7 @@
 #include <mutex>
 #include <optional>
 #include <thread>
+#include <tuple>
 #include <utility>
 
 #include "learning/dataset_files.hpp"
@@ -21,7 +22,7 @@ namespace weft {
 namespace fs = std::filesystem;
 
 DatasetHeader make_dataset_header(const Task& task, const DataParams& params, std::uint64_t seed,
-                                  const ConfigNode& resolved, const std::string& provenance) {
+                                  const ConfigNode& resolved, const std::string& provenance, const Identity& identity) {
   DatasetHeader h;
   h.config = resolved.to_yaml();
   h.provenance = provenance;
@@ -41,8 +42,37 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
   f.add(h.config);
   f.add_values(&h.seed, 1);
   f.add_values(&h.garment_hash, 1);
-  h.identity = f.hex();
+  h.identity = identity.is_known() ? identity.hash() : f.hex();
   return h;
+}
+
+DatasetHeader header_to_add(const DatasetHeader& header, const fs::path& folder, bool accept_changed) {
+  DatasetHeader result = header;
+  if (!fs::is_directory(folder)) return result;
+  const Identity now = identity_in(header.provenance, folder.string());
+  bool is_first = true;
+  for (const auto& file : list_shards(folder)) {
+    DatasetHeader there;
+    try {
+      there = read_shard_header(file);
+    } catch (const ConfigError&) {
+      continue;  // damaged: it is made again
+    }
+    const auto changes = now.changes_since(identity_in(there.provenance, file.string()));
+    if (!changes.empty() && !accept_changed) throw ConfigError(changed_message(file.string(), changes));
+    const auto form = [](const DatasetHeader& h) {
+      return std::tie(h.seed, h.garment_hash, h.vertices, h.hands, h.shard_examples, h.control_names, h.state_names,
+                      h.validation_fraction, h.test_fraction);
+    };
+    if (form(there) != form(header)) {
+      throw ConfigError(file.string() +
+                        ": belongs to a dataset of another seed, garment, trajectory, shard_examples or split; choose "
+                        "another folder");
+    }
+    if (is_first) result.identity = there.identity;
+    is_first = false;
+  }
+  return result;
 }
 
 namespace {
@@ -143,7 +173,7 @@ struct ShardRange {
 /// @param range is widened to all examples of a file that is made again in part.
 /// @throws ConfigError if it belongs to another dataset.
 std::vector<Example> kept_examples(const fs::path& file, ShardRange& range, const DatasetHeader& header, Retry retry,
-                                   GenerateReport& report, bool& warned, Host& host) {
+                                   GenerateReport& report, Host& host) {
   if (!fs::exists(file)) return {};
   Shard shard;
   try {
@@ -162,11 +192,6 @@ std::vector<Example> kept_examples(const fs::path& file, ShardRange& range, cons
   if (static_cast<std::int64_t>(shard.examples.size()) < range.count()) return {};
   for (std::int64_t i = 0; i < range.count(); ++i) {
     if (shard.examples[static_cast<std::size_t>(i)].index != range.first + i) return {};
-  }
-  if (!warned && shard.header.provenance != header.provenance) {
-    host.log(LogLevel::warning,
-             file.string() + ": was made by another version of weft or its plugins; its examples are kept");
-    warned = true;
   }
   const auto tried_again = [&](const Example& e) { return tries_again(retry, failure_of(e).status); };
   if (std::none_of(shard.examples.begin(), shard.examples.end(), tried_again))
@@ -254,8 +279,7 @@ class Production {
   bool over() const { return stopping_ || host_.cancelled(); }
 
   std::vector<Example> look(ShardRange& range) {
-    return kept_examples(options_.folder / shard_name(range.number), range, header_, options_.retry, report_, warned_,
-                         host_);
+    return kept_examples(options_.folder / shard_name(range.number), range, header_, options_.retry, report_, host_);
   }
   void keep(const std::vector<Example>& examples) {
     report_.kept += static_cast<std::int64_t>(examples.size());
@@ -381,7 +405,6 @@ class Production {
   std::atomic<bool> stopping_ = false;
   std::mutex mutex_;  ///< for what follows
   GenerateReport report_;
-  bool warned_ = false;
   std::int64_t total_ = 0;
   std::vector<ShardRange> missing_;  ///< that no thread has claimed
   std::shared_ptr<Open> open_;       ///< the file whose examples are handed out

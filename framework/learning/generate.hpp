@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "identity/identity.hpp"
 #include "processes/work_status.hpp"
 #include "simulation/random_controls.hpp"
 #include "weft/dataset.hpp"
@@ -41,8 +42,15 @@ struct DataParams {
 };
 
 /// Header of the dataset that a task, its resolved config and a seed define.
+/// @param identity what its examples belong to; unknown: of config, seed and garment alone.
 DatasetHeader make_dataset_header(const Task& task, const DataParams& params, std::uint64_t seed,
-                                  const ConfigNode& resolved, const std::string& provenance);
+                                  const ConfigNode& resolved, const std::string& provenance,
+                                  const Identity& identity = {});
+/// The header with which examples are added to a folder: `header`, or with an accepted change the one that goes on under
+/// the name of the dataset that is there. Changes nothing on the disk.
+/// @throws ConfigError naming what differs between the folder's examples and `header`, unless it is accepted; also if
+/// seed, garment, trajectory or the form of the files differ, which cannot be accepted.
+DatasetHeader header_to_add(const DatasetHeader& header, const std::filesystem::path& folder, bool accept_changed);
 struct GenerateOptions {
   std::int64_t examples = 0;
   std::filesystem::path folder;

@@ -300,6 +300,8 @@ std::vector<fs::path> PluginRegistry::default_search_path() {
   return folders;
 }
 
+const std::vector<fs::path>& PluginRegistry::search_path() const { return impl_->search_path; }
+
 std::vector<PluginEntry> PluginRegistry::list() const {
   std::map<std::pair<std::string, std::string>, PluginEntry> good;
   std::vector<PluginEntry> entries, bad;
@@ -383,8 +385,6 @@ void visit_erased(void* library, ParamVisitor& visitor) {
 
 }  // namespace
 
-const std::vector<fs::path>& PluginRegistry::search_path() const { return impl_->search_path; }
-
 std::vector<ParamInfo> PluginRegistry::params(const PluginEntry& entry) const {
   const auto library = impl_->library(entry.file);
   return describe_params_erased(const_cast<Library*>(library.get()), visit_erased);
@@ -412,6 +412,10 @@ std::pair<std::string, PluginEntry> PluginRegistry::look_up(const std::string& k
                       entry.file.string() + " is " + name + " " + entry.version);
   }
   return {std::move(name), std::move(entry)};
+}
+
+PluginEntry PluginRegistry::entry(const std::string& kind, const ConfigNode& slot) const {
+  return look_up(kind, slot).second;
 }
 
 ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& slot) const {

@@ -35,6 +35,8 @@ class PluginRegistry {
   /// @throws PluginError with the nearest name, the folders searched and what was refused in them, or with both sides of
   /// a refusal and the remedy.
   PluginEntry find(const std::string& name_or_file, const std::string& kind = "") const;
+  /// The entry of a slot: {plugin: NAME, params: {...}}, or a bare NAME. @throws PluginError, ConfigError.
+  PluginEntry entry(const std::string& kind, const ConfigNode& slot) const;
   std::vector<ParamInfo> params(const PluginEntry& entry) const;
 
   /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default, also in nested slots. Creates no

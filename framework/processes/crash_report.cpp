@@ -30,7 +30,7 @@ namespace {
 
 constexpr char kMagic[8] = "wcrash1";
 constexpr int kFatal[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS, SIGTRAP, SIGXCPU, SIGXFSZ, SIGQUIT};
-constexpr unsigned kReportSeconds = 5;
+constexpr unsigned kCrashReportSeconds = 5;
 constexpr std::size_t kMostPlugins = 256;
 
 /// Where a plugin lies in memory.
@@ -169,7 +169,7 @@ void print_line_and_end(int) {
 }
 
 void write_report(int signal, int exit_code, const void* crashed_at) {
-  alarm(kReportSeconds);
+  alarm(kCrashReportSeconds);
   static CrashReport report;  // handlers have little stack
   fill(report, signal, exit_code, crashed_at);
   const int file = report_file;

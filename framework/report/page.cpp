@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "report/page_data.hpp"
+#include "report/times.hpp"
 #include "sdk/files.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/simulator.hpp"
@@ -159,6 +160,8 @@ std::string session_page(const std::string& page_template, const SessionRecord& 
   auto& json = page.json;
   json["kind"] = "session";
   json["summary"] = parse_json(session.summary, "summary of the session");
+  for (const char* key : {"plan_seconds", "estimate_seconds"})  // a session.h5 alone has no times
+    if (!json["summary"].contains(key)) json["summary"][key] = ordered_json::array();
   json["provenance"] = parse_json(session.provenance, "provenance of the session");
   json["config"] = session.config;
   json["properties"] = kPropertyNames;
@@ -205,12 +208,15 @@ std::string experiment_page(const std::string& page_template, const fs::path& fo
   json["kind"] = fs::exists(folder / "ablation.json") ? "ablation" : "evaluation";
   json["properties"] = kPropertyNames;
   if (fs::exists(folder / "provenance.json")) {
-    json["provenance"] = parse_json(read_text(folder / "provenance.json"), (folder / "provenance.json").string());
+    json["provenance"] = parse_json(with_machine_of(read_text(folder / "provenance.json"), folder),
+                                    (folder / "provenance.json").string());
   }
   if (fs::exists(folder / "config.yaml")) json["config"] = read_text(folder / "config.yaml");
   for (const std::string name : kExperiments) {
     const fs::path file = folder / (name + ".json");
-    if (fs::exists(file)) json[name] = parse_json(read_text(file), file.string());
+    if (!fs::exists(file)) continue;
+    json[name] = parse_json(read_text(file), file.string());
+    json[name] = parse_json(with_times_of(json[name].dump(), folder, name + ".json"), file.string());
   }
   if (fs::exists(folder / "cases.h5")) add_cases(page, folder / "cases.h5");
   return page.fill(page_template);
@@ -219,9 +225,15 @@ std::string experiment_page(const std::string& page_template, const fs::path& fo
 std::string write_report(const fs::path& folder) {
   const auto found = find_report_template();
   if (found.text.empty()) return found.reason;
-  const fs::path session = folder / "session.h5";
-  const std::string page =
-      fs::exists(session) ? session_page(found.text, read_session(session)) : experiment_page(found.text, folder);
+  std::string page;
+  if (const fs::path file = folder / "session.h5"; fs::exists(file)) {
+    SessionRecord session = read_session(file);
+    session.summary = with_times_of(session.summary, folder, "summary.json");
+    session.provenance = with_machine_of(session.provenance, folder);
+    page = session_page(found.text, session);
+  } else {
+    page = experiment_page(found.text, folder);
+  }
   const fs::path file = folder / "report.html";
   const fs::path temporary = file.string() + ".tmp";
   std::ofstream stream(temporary, std::ios::binary);

@@ -19,7 +19,7 @@ ReportTemplate find_report_template();
 /// The template with a session's data in it. @throws ConfigError if the text is not a template of weft.
 std::string session_page(const std::string& page_template, const SessionRecord& session);
 /// The template with the data of an evaluation or ablation: all files in the folder of planning.json, estimation.json,
-/// prediction.json, physics.json, ablation.json, provenance.json, config.yaml and cases.h5.
+/// prediction.json, physics.json, ablation.json, provenance.json, times.json, config.yaml and cases.h5.
 /// @throws ConfigError.
 std::string experiment_page(const std::string& page_template, const std::filesystem::path& folder);
 

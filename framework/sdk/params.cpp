@@ -31,6 +31,12 @@ std::string entries_text(const Length& length, const char* what) {
   return std::to_string(length.count) + " " + what + (length.entries.empty() ? "" : " (" + length.entries + ")");
 }
 
+std::string joined(const std::vector<std::string>& words) {
+  std::string text;
+  for (const auto& word : words) text += (text.empty() ? "" : ", ") + word;
+  return text;
+}
+
 // Paths in a config are relative to it, but a resolved config may be saved anywhere.
 std::filesystem::path resolved_path(const ConfigNode& node) {
   return node.as_string().empty() ? std::filesystem::path() : std::filesystem::absolute(node.as_path());
@@ -104,6 +110,11 @@ class Reader final : public ParamVisitor {
       if (!allowed.empty() && std::find(allowed.begin(), allowed.end(), value) == allowed.end())
         node->fail("= " + shown(*node) + ", must be " + one_of(allowed) + nearest_hint(value, allowed));
     }
+    if (const auto& here = declared.variant.here; !here.empty()) {
+      if (value == "auto") value = here.back();
+      if (node && std::find(here.begin(), here.end(), value) == here.end())
+        node->fail("= " + value + ", a numeric variant that this machine cannot run; it has " + joined(here));
+    }
     return ConfigNode::quoted(value);
   }
   static ConfigNode read(const Declaration& declared, const Given& node, std::vector<double>& value) {
@@ -169,6 +180,7 @@ class Describer final : public ParamVisitor {
     info.choices = declared.choice.values;
     info.length = declared.length;
     info.decides = declared.decides;
+    info.is_variant = !declared.variant.here.empty();
     std::visit([&](const auto* field) { show(declared, *field, info); }, value);
     infos_.push_back(std::move(info));
   }

@@ -78,7 +78,8 @@ struct EnvironmentParams {
     v("command", command,
       "Program and arguments of a process that moves and observes the cloth (docs/environment-protocol.md); default: "
       "the simulator.");
-    v("folder", folder, "Working folder of the command; default: the folder of the file that sets the command.");
+    v("folder", folder, "Working folder of the command; default: the folder of the file that sets the command.",
+      Decides::nothing);
     v("timeout_s", timeout_s, range(0.01, 1e6, "s"), "Longest wait for an answer of the process.");
   }
   bool simulated() const { return command.empty(); }

@@ -155,34 +155,22 @@ std::string session_summary_json(const SessionResult& result) {
   summary["released"] = result.released;
   summary["settled"] = result.settle.settled;
   summary["settle_frames"] = result.settle.frames;
-  auto plan_seconds = ordered_json::array();
   auto iterations = ordered_json::array();
   auto plan_ended = ordered_json::array();
   auto predicted = ordered_json::array();
   auto knowledge = ordered_json::array();
   for (const auto& round : result.rounds) {
-    plan_seconds.push_back(round.plan.seconds);
     iterations.push_back(round.plan.iterations);
     plan_ended.push_back(to_json(round.plan.ended));
     predicted.push_back(round.plan.predicted_error_mm);
     knowledge.push_back({{"centre", list(round.knowledge.centre)}, {"width", list(round.knowledge.width)}});
   }
-  summary["plan_seconds"] = plan_seconds;
   summary["plan_iterations"] = iterations;
   summary["plan_ended"] = plan_ended;
   summary["predicted_error_mm"] = predicted;
-  auto estimate_seconds = ordered_json::array();
   auto estimate_ended = ordered_json::array();
-  for (const auto& estimate : result.estimates) {
-    estimate_seconds.push_back(estimate.seconds);
-    estimate_ended.push_back(to_json(estimate.ended));
-  }
-  summary["estimate_seconds"] = estimate_seconds;
+  for (const auto& estimate : result.estimates) estimate_ended.push_back(to_json(estimate.ended));
   summary["estimate_ended"] = estimate_ended;
-  double refinement_seconds = 0.0;
-  for (const auto& round : result.rounds) refinement_seconds += round.refinement_seconds;
-  if (refinement_seconds > 0.0) summary["refinement_seconds"] = refinement_seconds;
-  summary["simulate_seconds"] = result.simulate_seconds;
   summary["max_grasp_strain"] = result.max_grasp_strain ? ordered_json(*result.max_grasp_strain) : ordered_json();
   summary["knowledge"] = knowledge;
   if (!result.estimates.empty()) {
@@ -193,6 +181,21 @@ std::string session_summary_json(const SessionResult& result) {
   summary["shapes"] = result.shapes_are_true ? "true" : "observed";
   summary["warnings"] = result.warnings;
   return summary.dump(2) + "\n";
+}
+
+std::string session_times_json(const SessionResult& result) {
+  using nlohmann::ordered_json;
+  auto plans = ordered_json::array(), estimates = ordered_json::array();
+  double refinement = 0.0;
+  for (const auto& round : result.rounds) {
+    plans.push_back(round.plan.seconds);
+    refinement += round.refinement_seconds;
+  }
+  for (const auto& estimate : result.estimates) estimates.push_back(estimate.seconds);
+  ordered_json times{{"plan_seconds", plans}, {"estimate_seconds", estimates}};
+  if (refinement > 0.0) times["refinement_seconds"] = refinement;
+  times["simulate_seconds"] = result.simulate_seconds;
+  return times.dump(2) + "\n";
 }
 
 void write_session(const std::filesystem::path& path, const SessionResult& result, const Task& task,

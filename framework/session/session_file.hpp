@@ -56,8 +56,10 @@ struct SessionRecord {
 /// @throws ConfigError naming the array that is missing, damaged or of the wrong shape.
 SessionRecord read_session(const std::filesystem::path& file);
 
-/// summary.json: the keys of docs/file-formats.md.
+/// summary.json: the keys of docs/file-formats.md. Its times are apart, in session_times_json().
 std::string session_summary_json(const SessionResult& result);
+/// The times of summary.json, for times.json.
+std::string session_times_json(const SessionResult& result);
 /// session.h5. @param resolved the resolved config; @param provenance version, commit, plugins.
 void write_session(const std::filesystem::path& file, const SessionResult& result, const Task& task,
                    const ConfigNode& resolved, const std::string& provenance);

@@ -398,7 +398,7 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
   return result;
 }
 
-std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
+std::string scene_times_json(const SceneResult& result) {
   std::vector<double> sorted = result.frame_seconds;
   std::sort(sorted.begin(), sorted.end());
   // The quantile is a measured value, not an interpolated one.
@@ -407,6 +407,12 @@ std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
     const auto rank = static_cast<std::size_t>(std::ceil(p * static_cast<double>(sorted.size())));
     return 1e3 * sorted[std::clamp<std::size_t>(rank, 1, sorted.size()) - 1];
   };
+  return nlohmann::ordered_json{{"frame_ms", {{"median", nearest_rank_ms(0.5)}, {"p95", nearest_rank_ms(0.95)}}}}.dump(
+             2) +
+         "\n";
+}
+
+std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
   nlohmann::ordered_json json{
       {"garment", run.garment->name},
       {"vertices", run.garment->vertex_count()},
@@ -414,7 +420,6 @@ std::string scene_summary_json(const SceneRun& run, const SceneResult& result) {
       {"fabric", run.fabric.name},
       {"frames", result.frames},
       {"seconds", static_cast<double>(result.frames) * kFrameSeconds},
-      {"frame_ms", {{"median", nearest_rank_ms(0.5)}, {"p95", nearest_rank_ms(0.95)}}},
       {"max_speed_m_per_s", result.max_speed},
       {"max_strain", result.final_strain},
       {"max_strain_of_run", result.max_strain},

@@ -70,5 +70,7 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
 
 /// summary.json: the keys of docs/file-formats.md.
 std::string scene_summary_json(const SceneRun& run, const SceneResult& result);
+/// Its times, for times.json.
+std::string scene_times_json(const SceneResult& result);
 
 }  // namespace weft

@@ -77,7 +77,7 @@ TEST(EvaluatePlanning, IsResumedAfterBeingKilledAndRepeats) {
   // A run with another config is refused in the same folder.
   const Outcome other = weft_command(command + "--set planning.noise=2 --out " + quoted(folder / "whole"));
   EXPECT_EQ(other.code, 2);
-  EXPECT_THAT(other.output, HasSubstr("another config"));
+  EXPECT_THAT(other.output, HasSubstr("planning.noise "));
 }
 
 /// Files in a folder and what they hold; none when there is no such folder.
@@ -109,7 +109,7 @@ TEST(EvaluateEstimation, FreshCasesAreResumedAfterBeingKilledAndRepeat) {
   const auto cells = folder / "parts/fresh/cells";
   test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + command + "--out " + quoted(folder / "parts") +
                   " & pid=$!; for i in $(seq 3000); do ls " + quoted(cells) +
-                  "/*.json >/dev/null 2>&1 && break; sleep 0.01; done; kill -KILL $pid; wait $pid");
+                  "/seed*[0-9a-f].json >/dev/null 2>&1 && break; sleep 0.01; done; kill -KILL $pid; wait $pid");
   const auto kept = files_of(cells);
   ASSERT_GE(kept.size(), 1u);
   EXPECT_FALSE(std::filesystem::exists(folder / "parts/estimation.json"));
@@ -118,7 +118,7 @@ TEST(EvaluateEstimation, FreshCasesAreResumedAfterBeingKilledAndRepeat) {
   EXPECT_EQ(without_seconds(read(folder / "parts/estimation.json")), without_seconds(result));
   const auto all = files_of(cells);
   for (const auto& [name, content] : kept) {
-    if (name.find(".tmp") == std::string::npos) {
+    if (name.find(".tmp") == std::string::npos && name.find(".times.") == std::string::npos) {
       EXPECT_EQ(all.at(name), content) << name << " was made again";
     }
   }

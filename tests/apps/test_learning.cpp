@@ -316,8 +316,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_FALSE(std::filesystem::exists(folder / "x.calibration.json"));
 }
 
-// A parameter that a later version added, at its default, must not orphan a dataset that took an hour to make.
-TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhenItsConfigSaysTheSame) {
+TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhereThatIsAccepted) {
   const Folder folder;
   const auto data = folder / "data";
   const std::string generate = "generate '" + kConfig + "' --quiet --out " + quoted(data);
@@ -328,21 +327,24 @@ TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhenItsConfigSaysTheSame) {
   ASSERT_NE(at, std::string::npos);
   const std::string earlier = shard.header.config.erase(at, added.size());
   shard.header.identity = "0123456789abcdef";
+  shard.header.provenance = R"({"weft": "0.1.0", "commit": "1906723"})";  // which recorded no identity
   write_shard(data / "shard-00000.h5", shard);
   std::ofstream(data / "config.yaml", std::ios::binary) << earlier;
 
-  const Outcome more = weft_command(generate + " --examples 18");
+  const Outcome refused = weft_command(generate + " --examples 18");
+  EXPECT_EQ(refused.code, 2);
+  EXPECT_THAT(refused.output, HasSubstr("made by an earlier version of weft"));
+  EXPECT_FALSE(std::filesystem::exists(data / "shard-00001.h5"));
+  const Outcome more = weft_command(generate + " --examples 18 --accept-changed");
   ASSERT_EQ(more.code, 0) << more.output;
-  for (const char* file : {"shard-00000.h5", "shard-00001.h5"}) {
-    const Shard now = read_shard(data / file);
-    EXPECT_EQ(now.header.identity, "0123456789abcdef") << file;
-    EXPECT_EQ(now.header.config, earlier) << file;
-  }
+  for (const char* file : {"shard-00000.h5", "shard-00001.h5"})
+    EXPECT_EQ(read_shard(data / file).header.identity, "0123456789abcdef") << file;
+  EXPECT_THAT(weft_command("dataset info " + quoted(data)).output, HasSubstr("MIXED: 16 examples belong to"));
   EXPECT_EQ(weft_command("dataset check " + quoted(data)).code, 0);
   // Another value makes another dataset, with or without a later default. The folder does not change.
   const Outcome other = weft_command(generate + " --examples 34 --set simulator.params.settle_damping_per_s=7");
   EXPECT_EQ(other.code, 2);
-  EXPECT_THAT(other.output, HasSubstr("belongs to another dataset"));
+  EXPECT_THAT(other.output, HasSubstr("made by an earlier version of weft"));
   EXPECT_EQ(bytes_of(data / "config.yaml"), earlier);
 }
 

@@ -21,13 +21,13 @@ struct MisbehavesParams {
 volatile int nothing = 0;
 int* volatile nowhere = nullptr;
 
-void write_nowhere() { *nowhere = 1; }
-int descend(int depth) {  // NOLINT(misc-no-recursion)
+[[gnu::noinline]] void write_nowhere() { *nowhere = 1; }
+[[gnu::noinline]] int descend(int depth) {  // NOLINT(misc-no-recursion)
   volatile char block[4096];
   block[0] = static_cast<char>(depth);
   return descend(depth + 1) + block[0];
 }
-void turn_for_ever() {
+[[gnu::noinline]] void turn_for_ever() {
   while (nothing == 0) continue;
 }
 

@@ -18,6 +18,7 @@
 #include "loader/registry.hpp"
 #include "report/cases_file.hpp"
 #include "report/page.hpp"
+#include "report/times.hpp"
 #include "session/session.hpp"
 #include "session/session_file.hpp"
 #include "simulation/task_config.hpp"
@@ -186,9 +187,10 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
   result.simulate_seconds = 7.9;
   result.max_grasp_strain = 0.021;
   const std::string provenance =
-      R"({"weft": "0.1.0", "commit": "made-up", "compiler": "none", "seed": 1, "threads": 2, "cores": 2, "plugins": [{"kind": "trajectory", "name": "arc", "version": "1.0.0"}]})";
+      R"({"weft": "0.1.0", "commit": "made-up", "compiler": "none", "seed": 1, "plugins": [{"kind": "trajectory", "name": "arc", "version": "1.0.0"}]})";
   write_session(folder / "session.h5", result, task, resolved, provenance);
   std::ofstream(folder / "summary.json") << session_summary_json(result);
+  std::ofstream(folder / "times.json") << times_json(2, {{"summary.json", session_times_json(result)}});
   std::printf("%td segments, %zu frames, %td vertices, error %.2f mm\n", segments, result.frames.size(), vertices,
               result.error_mm);
 }

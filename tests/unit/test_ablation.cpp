@@ -164,12 +164,14 @@ TEST(Ablation, FailedCellsAreCountedAndLeaveTheirPairsOut) {
   const auto plan = Files().plan(kTwoFactors);
   auto rows = rows_of(plan);
   row_of(rows, 1, 6).failure = "frame 12, vertex 3";
+  row_of(rows, 1, 6).status = WorkStatus::diverged;
   row_of(rows, 1, 6).outcome = {};
   const auto json = nlohmann::json::parse(ablation_json(plan, rows));
   EXPECT_EQ(json["arms"][1]["done"], 2);
   EXPECT_EQ(json["arms"][1]["failed"][0]["failure"], "frame 12, vertex 3");
+  EXPECT_EQ(json["arms"][1]["failed"][0]["status"], "diverged");
   EXPECT_EQ(json["arms"][4]["metrics"]["error_mm"]["difference"]["n"], 2);  // the pairs that both ran
-  EXPECT_THAT(ablation_csv(plan, rows), testing::HasSubstr("rprop,4,6,failed,,,\"frame 12, vertex 3\"\n"));
+  EXPECT_THAT(ablation_csv(plan, rows), testing::HasSubstr("rprop,4,6,diverged,,,\"frame 12, vertex 3\",\n"));
 }
 
 TEST(Ablation, DifferencesArePaired) {

@@ -218,8 +218,8 @@ TEST(Dataset, AFailedSimulationIsRecorded) {
   const Folder folder;
   ToyHost host(2, 0.9);
   const GenerateReport report = generate(folder / "d", 24, host);
-  EXPECT_GT(report.failed, 0);
-  EXPECT_LT(report.failed, 24);
+  EXPECT_GT(report.failed(), 0);
+  EXPECT_LT(report.failed(), 24);
   const Dataset data = load_dataset(folder / "d");
   std::int64_t failed = 0;
   for (const auto& e : data.examples) {
@@ -229,10 +229,35 @@ TEST(Dataset, AFailedSimulationIsRecorded) {
     EXPECT_EQ(e.segments(), 0);
     EXPECT_TRUE(e.q.allFinite());
   }
-  EXPECT_EQ(failed, report.failed);
+  EXPECT_EQ(failed, report.failed());
+  EXPECT_FALSE(report.acceptable());  // more than one in a hundred
   std::size_t selected = 0;
   for (const Split split : {Split::train, Split::validation, Split::test}) selected += data.select(split).size();
   EXPECT_EQ(selected, 24u - static_cast<std::size_t>(failed));
+}
+
+TEST(Dataset, OnlyFewDivergedExamplesAreData) {
+  GenerateReport report;
+  report.made = 150;
+  report.kept = 50;
+  EXPECT_TRUE(report.acceptable());
+  report.failures = {WorkStatus::diverged, WorkStatus::diverged};
+  EXPECT_TRUE(report.acceptable());
+  report.failures.push_back(WorkStatus::diverged);
+  EXPECT_FALSE(report.acceptable());
+  report.failures = {WorkStatus::crashed};
+  EXPECT_FALSE(report.acceptable());
+}
+
+TEST(Dataset, AFailureSaysItsStatus) {
+  Example example;
+  EXPECT_EQ(failure_of(example).status, WorkStatus::done);
+  example.failure = "crashed: SIGSEGV in plugin simulator mine";
+  EXPECT_EQ(failure_of(example).status, WorkStatus::crashed);
+  EXPECT_EQ(failure_of(example).message, "SIGSEGV in plugin simulator mine");
+  example.failure = "mine: diverged in frame 7";
+  EXPECT_EQ(failure_of(example).status, WorkStatus::diverged);
+  EXPECT_EQ(failure_of(example).message, "mine: diverged in frame 7");
 }
 
 TEST(Dataset, SplitsByIndexAndMergesBackToTheSameBytes) {

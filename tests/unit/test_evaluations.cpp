@@ -4,6 +4,7 @@
 
 #include "experiments/estimation_evaluation.hpp"
 #include "experiments/planning_evaluation.hpp"
+#include "report/times.hpp"
 #include "test_support.hpp"
 
 namespace weft {
@@ -114,7 +115,8 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
   for (std::size_t a = 0; a < 2; ++a) {
     for (std::size_t i = 0; i < 5; ++i) {
       SweepRow row{a, column.plan.seeds[i], "", {}};
-      row.outcome.metrics = {{"error_mm", errors[i]}, {"plan_seconds", 2.0}};
+      row.outcome.metrics = {{"error_mm", errors[i]}};
+      row.outcome.times = {{"first_plan_seconds", 0.5}, {"plan_seconds", 2.0}};
       if (a == 1 && i == 4) row.failure = "diverged";
       column.rows.push_back(row);
     }
@@ -135,6 +137,14 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
   EXPECT_EQ(result["cases"][9]["failed"], "diverged");
   EXPECT_EQ(result["cases"][7]["goal"], 2);
   EXPECT_THAT(planning_evaluation_csv({column}), testing::HasSubstr("fresh,0.1,0,"));
+  EXPECT_FALSE(result["cases"][0].contains("plan_seconds"));
+  const json whole = json::parse(with_times(result.dump(), planning_times_json({column})));
+  EXPECT_EQ(whole["cases"][7]["plan_seconds"], 2.0);
+  EXPECT_EQ(whole["cases"][7]["goal"], 2);
+  EXPECT_FALSE(whole["cases"][9].contains("plan_seconds"));
+  EXPECT_THAT(planning_times_csv({column}),
+              testing::AllOf(testing::StartsWith("goals,width,goal,seed,first_plan_seconds"),
+                             testing::HasSubstr(",0.5,2.0\n")));
   EXPECT_THAT(planning_evaluation_table(column), testing::HasSubstr("0.10    5      7.00     15.20"));
 }
 
@@ -142,7 +152,8 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
 SweepRow row_of(std::size_t arm, std::uint64_t seed, double q, double c, double w) {
   SweepRow row{arm, seed, "", {}};
   row.outcome.payload = to_payload({all(q), {interval(0.5, 0.9), interval(c, w)}, std::nullopt});
-  row.outcome.metrics = {{"segments", 2.0}, {"slowest_estimate_seconds", 0.25}};
+  row.outcome.metrics = {{"segments", 2.0}};
+  row.outcome.times = {{"slowest_estimate_seconds", 0.25}};
   return row;
 }
 /// The same as rows were before they had payloads.
@@ -190,8 +201,9 @@ TEST(EstimationEvaluation, TableOneAndTheSequences) {
   EXPECT_EQ(sequence[1]["width"][2], 0.9);
   EXPECT_EQ(sequence[2]["centre"][2], 0.45);
   EXPECT_FALSE(result.contains("calibration"));
-  EXPECT_THAT(estimation_evaluation_table(result.dump()),
-              testing::HasSubstr("plain      bend          2         0.085"));
+  const std::string whole = with_times(result.dump(), estimation_times_json({column}));
+  EXPECT_EQ(json::parse(whole)["cases"][1]["slowest_estimate_seconds"], 0.25);
+  EXPECT_THAT(estimation_evaluation_table(whole), testing::HasSubstr("plain      bend          2         0.085"));
   EXPECT_THROW(estimation_evaluation(ConfigNode::parse("{seed: 1}", "test"), {"best"}, {}, column.cases), ConfigError);
 }
 

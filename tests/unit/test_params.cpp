@@ -278,6 +278,32 @@ TEST(Params, AFileThatMayBeAMappingIsResolvedLikeAFile) {
   EXPECT_EQ(read_params(parse("mesh: {name: towel}\n"), params).at("mesh").at("name").as_string(), "towel");
 }
 
+struct VariantParams {
+  std::string code = "auto";
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("code", code, choice({"auto", "narrow", "wide", "widest"}), "Numeric variant.",
+      NumericVariant{{"narrow", "wide"}});
+  }
+};
+
+TEST(Params, AutoBecomesTheBestVariantOfThisMachine) {
+  VariantParams params;
+  EXPECT_EQ(read_params(ConfigNode(), params).at("code").as_string(), "wide");
+  EXPECT_EQ(params.code, "wide");
+  VariantParams given;
+  EXPECT_EQ(read_params(ConfigNode::parse("code: narrow", "t.yaml"), given).at("code").as_string(), "narrow");
+  const auto infos = describe_params<VariantParams>();
+  EXPECT_TRUE(infos[0].is_variant);
+  EXPECT_EQ(infos[0].default_value, "auto");
+}
+
+TEST(Params, AVariantThatThisMachineLacksIsRefusedByName) {
+  VariantParams params;
+  EXPECT_EQ(message_of<ConfigError>([&] { read_params(ConfigNode::parse("code: widest", "t.yaml"), params); }),
+            "t.yaml:1: code = widest, a numeric variant that this machine cannot run; it has narrow, wide");
+}
+
 TEST(Params, MarkdownHasOneRowPerParameter) {
   EXPECT_EQ(params_markdown(describe_params<Solver>()),
             "| parameter | type | unit | range | default | meaning |\n|---|---|---|---|---|---|\n"

@@ -108,6 +108,17 @@ TEST_F(ReportFolder, ShowsWhicheverExperimentsAreThere) {
   EXPECT_EQ(write_report(folder_), "");
   EXPECT_THAT(read("report.html"), AllOf(HasSubstr("\"kind\":\"evaluation\""), HasSubstr("\"planning\":{\"cases\":[]"),
                                          Not(HasSubstr("\"estimation\""))));
+  // Times lie apart and are joined: objects by key, lists by entry.
+  write("ablation.json", R"({"arms": [{"metrics": {"error_mm": {"n": 2}}}, {"metrics": {}}]})");
+  write("provenance.json", R"({"commit": "abc"})");
+  write("times.json",
+        R"({"threads": 3, "cores": 4, "ablation.json": {"arms": [{"metrics": {"plan_seconds": {"n": 1}}}]}})");
+  EXPECT_EQ(write_report(folder_), "");
+  EXPECT_THAT(read("report.html"), AllOf(HasSubstr(R"("metrics":{"error_mm":{"n":2},"plan_seconds":{"n":1}})"),
+                                         HasSubstr(R"({"commit":"abc","threads":3,"cores":4})")));
+  write("times.json", "{damaged");
+  EXPECT_THROW(write_report(folder_), ConfigError);
+  std::filesystem::remove(folder_ / "times.json");
   write("ablation.json", "{damaged");
   EXPECT_THROW(write_report(folder_), ConfigError);
 }

@@ -1,15 +1,17 @@
-#include "experiments/sweep.hpp"
+#include "experiments/sweep_rows.hpp"
 
 #include <signal.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "processes/claims.hpp"
 #include "test_support.hpp"
 
 namespace weft::test {
@@ -28,7 +30,8 @@ struct Files {
   /// The only row in a sweep's folder.
   std::filesystem::path only_row(const std::string& name) const {
     std::filesystem::path row;
-    for (const auto& entry : std::filesystem::directory_iterator(folder / name / "cells")) row = entry.path();
+    for (const auto& entry : std::filesystem::directory_iterator(folder / name / "cells"))
+      if (!entry.path().string().ends_with(".times.json")) row = entry.path();
     return row;
   }
 };
@@ -49,6 +52,15 @@ SweepPlan six_arms() {
   plan.seeds = {5, 6, 7};
   return plan;
 }
+/// As a config with this planning.noise has it.
+Identity identity_of_noise(const std::string& noise) {
+  return Identity::from_json(R"({"schema": "weft identity 1", "weft": "0.1.0", "config": {"planning": {"noise": )" +
+                             noise + R"(}}, "plugins": {}})");
+}
+std::string content_of(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
 SweepPlan one_arm(std::vector<std::uint64_t> seeds) {
   SweepPlan plan;
   plan.factors = {"optimiser", "planning.instances"};
@@ -63,8 +75,8 @@ SweepOutcome formula(const ConfigNode& config, Host&) {
   const double instances = config.at("planning").at("instances").as_double();
   const bool sampling = config.at("optimiser").as_string() == "mppi";
   SweepOutcome outcome;
-  outcome.metrics = {{"error_mm", 10.0 * seed + (sampling ? 2.0 : 0.0) + 1.0 / instances},
-                     {"seconds", 0.5 * instances}};
+  outcome.metrics = {{"error_mm", 10.0 * seed + (sampling ? 2.0 : 0.0) + 1.0 / instances}, {"loss", 0.5 * instances}};
+  outcome.times = {{"plan_seconds", 0.25 * instances}};
   outcome.paired_by = "case" + std::to_string(static_cast<int>(seed));
   return outcome;
 }
@@ -74,7 +86,8 @@ std::string text_of(const std::vector<SweepRow>& rows) {
   std::string text;
   for (const auto& row : rows) {
     text += std::to_string(row.arm) + " " + std::to_string(row.seed) + " " + row.failure + row.outcome.paired_by;
-    for (const auto& [name, value] : row.outcome.metrics) text += " " + name + "=" + std::to_string(value);
+    for (const auto* part : {&row.outcome.metrics, &row.outcome.times})
+      for (const auto& [name, value] : *part) text += " " + name + "=" + std::to_string(value);
     text += " " + row.outcome.payload.schema + row.outcome.payload.json + "\n";
   }
   return text;
@@ -131,6 +144,67 @@ TEST(Sweep, FailedCellsAreRecordedAndCostOnlyThemselves) {
     return formula(session, host);
   }));
   EXPECT_EQ(calls, 0);
+  EXPECT_EQ(rows[7].status, WorkStatus::diverged);
+  EXPECT_EQ(rows[14].status, WorkStatus::refused);
+  // None of them is an accident.
+  auto options = s.options("out", [&](const ConfigNode& session, Host& host) {
+    ++calls;
+    return formula(session, host);
+  });
+  options.retry = Retry::accidents;
+  run_sweep(plan, options);
+  EXPECT_EQ(calls, 0);
+  options.retry = Retry::all;
+  for (const auto& row : run_sweep(plan, options)) EXPECT_EQ(row.status, WorkStatus::done);
+  EXPECT_EQ(calls, 4);
+}
+
+TEST(Sweep, FailFastStopsAfterTheFirstFailure) {
+  const Files s;
+  auto options = s.options("out", [](const ConfigNode& session, Host& host) -> SweepOutcome {
+    if (session.at("planning").at("instances").as_int() == 4) throw ConfigError("no");
+    return formula(session, host);
+  });
+  options.fail_fast = true;
+  EXPECT_EQ(run_sweep(six_arms(), options).size(), 2u);  // one that is done, and the failed one
+}
+
+TEST(Sweep, ProcessesThatShareAFolderRunEachCellOnce) {
+  const Files s;
+  const auto plan = six_arms();
+  const std::string alone = text_of(run_sweep(plan, s.options("alone", formula)));
+  std::atomic<int> calls{0};
+  std::vector<std::string> texts(4);
+  std::vector<std::thread> processes;
+  for (auto& text : texts) {
+    processes.emplace_back([&] {
+      text = text_of(run_sweep(plan, s.options("shared", [&](const ConfigNode& session, Host& host) {
+        ++calls;
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+        return formula(session, host);
+      })));
+    });
+  }
+  for (auto& one : processes) one.join();
+  EXPECT_EQ(calls, 18);
+  for (const auto& text : texts) EXPECT_EQ(text, alone);  // each waits for the others' rows
+}
+
+TEST(Sweep, ACellWhoseProcessesVanishIsLost) {
+  const Files s;
+  const auto plan = one_arm({5, 6});
+  const auto file = row_file(plan, s.folder / "out", 0, 5);
+  std::filesystem::create_directories(s.folder / "out/claims");
+  std::ofstream(s.folder / "out/claims" / (file.stem().string() + ".claim"))
+      << "weft-claim-1 " << Claims::this_machine() << " host 1 0123456789abcdef 999999999 3 0000000007\n";
+  const auto rows = run_sweep(plan, s.options("out", formula));
+  ASSERT_EQ(rows.size(), 2u);
+  EXPECT_EQ(rows[0].status, WorkStatus::lost);
+  EXPECT_EQ(rows[0].failure, "3 processes that ran it have vanished");
+  EXPECT_EQ(rows[1].status, WorkStatus::done);
+  auto again = s.options("out", formula);
+  again.retry = Retry::accidents;
+  EXPECT_EQ(run_sweep(plan, again)[0].status, WorkStatus::done);
 }
 
 TEST(Sweep, KilledAtAnyMomentItIsFinishedByTheNextRun) {
@@ -172,8 +246,7 @@ TEST(Sweep, HalfWrittenRowsDoNotCount) {
   const Files s;
   const auto plan = one_arm({1});
   run_sweep(plan, s.options("out", formula));
-  std::filesystem::path row;
-  for (const auto& entry : std::filesystem::directory_iterator(s.folder / "out" / "cells")) row = entry.path();
+  const std::filesystem::path row = s.only_row("out");
   std::filesystem::rename(row, row.string() + ".tmp");
   int calls = 0;
   run_sweep(plan, s.options("out", [&](const ConfigNode& session, Host& host) {
@@ -188,13 +261,69 @@ TEST(Sweep, HalfWrittenRowsDoNotCount) {
 
 TEST(Sweep, AFolderHoldsOneSweep) {
   const Files s;
-  run_sweep(one_arm({1}), s.options("out", formula));
-  auto other = one_arm({1});
-  other.arms[0].config = other.arms[0].config.with("planning.noise", ConfigNode::number(0.25));
+  auto plan = one_arm({1}), other = plan;
+  plan.arms[0].identity = identity_of_noise("0.5");
+  other.arms[0].identity = identity_of_noise("0.25");
+  run_sweep(plan, s.options("out", formula));
   EXPECT_THAT(message_of<ConfigError>([&] { run_sweep(other, s.options("out", formula)); }),
-              testing::HasSubstr("another config"));
+              testing::AllOf(testing::HasSubstr("planning.noise 0.5 -> 0.25"), testing::HasSubstr("--accept-changed")));
   // More seeds of the same are welcome.
-  EXPECT_EQ(run_sweep(one_arm({1, 2}), s.options("out", formula)).size(), 2u);
+  plan.seeds = {1, 2};
+  EXPECT_EQ(run_sweep(plan, s.options("out", formula)).size(), 2u);
+}
+
+TEST(Sweep, AcceptedChangesAreRecordedPerRow) {
+  const Files s;
+  auto plan = one_arm({1, 2});
+  plan.arms[0].identity = identity_of_noise("0.5");
+  run_sweep(plan, s.options("out", formula));
+  auto other = one_arm({1, 2, 3});
+  other.arms[0].identity = identity_of_noise("0.25");
+  auto options = s.options("out", formula);
+  options.accept_changed = true;
+  const auto rows = run_sweep(other, options);
+  ASSERT_EQ(rows.size(), 3u);
+  EXPECT_THAT(rows[1].changes, testing::ElementsAre("planning.noise 0.5 -> 0.25"));
+  EXPECT_EQ(rows[1].identity, plan.arms[0].identity.hash());
+  EXPECT_THAT(rows[2].changes, testing::IsEmpty());
+  EXPECT_EQ(rows[2].identity, other.arms[0].identity.hash());
+  EXPECT_THAT(mixed_rows_text(other, rows),
+              testing::AllOf(testing::HasSubstr("2 of the 3 rows of rprop, 1 (seeds 1-2)"),
+                             testing::HasSubstr("planning.noise 0.5 -> 0.25")));
+  // Without the option the mixed folder is refused again, and nothing in it changes.
+  EXPECT_THROW(run_sweep(other, s.options("out", formula)), ConfigError);
+}
+
+TEST(Sweep, RowsStayWhenTheyAreNoLongerAskedForAndArmsMayMove) {
+  const Files s;
+  auto plan = six_arms();
+  run_sweep(plan, s.options("out", formula));
+  std::rotate(plan.arms.begin(), plan.arms.begin() + 2, plan.arms.end());
+  plan.arms.resize(3);
+  plan.seeds = {6, 7};
+  int calls = 0;
+  const auto rows = run_sweep(plan, s.options("out", [&](const ConfigNode& session, Host& host) {
+    ++calls;
+    return formula(session, host);
+  }));
+  EXPECT_EQ(calls, 0);
+  EXPECT_EQ(rows.size(), 6u);
+  EXPECT_EQ(read_sweep(plan, s.folder / "out", false).others.size(), 12u);
+}
+
+TEST(Sweep, RowsHoldNoTimesSoThatEqualRunsGiveEqualBytes) {
+  const Files s;
+  double clock = 0.0;
+  const SweepRunner runner = [&](const ConfigNode& config, Host& host) {
+    auto outcome = formula(config, host);
+    outcome.times = {{"plan_seconds", clock += 0.125}};
+    return outcome;
+  };
+  run_sweep(one_arm({1}), s.options("a", runner));
+  const auto rows = run_sweep(one_arm({1}), s.options("b", runner));
+  EXPECT_EQ(rows[0].metric("plan_seconds"), 0.25);
+  EXPECT_EQ(run_sweep(one_arm({1}), s.options("b", runner))[0].metric("plan_seconds"), 0.25);  // read back
+  EXPECT_EQ(content_of(s.only_row("a")), content_of(s.only_row("b")));
 }
 
 TEST(Sweep, CancelledSessionsLeaveNoRow) {
@@ -273,7 +402,7 @@ TEST(Sweep, RowsOfAnotherFormAreRefused) {
   const Files s;
   const auto plan = one_arm({1});
   run_sweep(plan, s.options("out", formula));
-  std::ofstream(s.only_row("out")) << R"({"schema": "weft sweep row 3"})";
+  std::ofstream(s.only_row("out")) << R"({"schema": "weft sweep row 4"})";
   EXPECT_THAT(message_of<ConfigError>([&] { run_sweep(plan, s.options("out", formula)); }),
               testing::HasSubstr("is not a row of a sweep"));
 }

@@ -41,7 +41,7 @@ export interface Summary {
   plan_ended?: SearchEnd[];
   predicted_error_mm: number[];
   estimate_seconds: number[];
-  simulate_seconds: number;
+  simulate_seconds?: number;
   refinement_seconds?: number;
   max_grasp_strain?: number | null;
   warnings: string[];
@@ -69,7 +69,10 @@ export interface PlanningWidth {
   width: number; n: number; mean_mm: number; median_mm: number; sd_mm: number; q1_mm: number; q3_mm: number;
   outliers: number;
 }
+/** Rows that belong to another config, file, plugin or version than the others of their table. */
+export interface Mixed { identity: string; seeds: number[]; changes: string[] }
 export interface PlanningData {
+  mixed?: Mixed[];
   goals?: string; complete?: boolean; cases: PlanningCase[]; by_width: PlanningWidth[];
   /** The same for further sources of goals. */
   columns?: Record<string, { by_width: PlanningWidth[] }>;
@@ -81,6 +84,7 @@ export interface PropertyResult {
 export interface EstimationCase { seed?: number; true_material: number[]; knowledge: Knowledge[] }
 export interface EstimationFigures { n: number; properties: Record<string, PropertyResult> }
 export interface EstimationData {
+  mixed?: Mixed[];
   goals?: string; method?: string; n?: number; complete?: boolean; properties: Record<string, PropertyResult>;
   cases: (EstimationCase | { failed: string })[];
   /** Figures of every source and method. */
@@ -108,6 +112,7 @@ export interface Arm {
   done: number;
   failed: { seed: number; failure: string }[];
   baseline: string | null;
+  mixed?: Mixed[];
   metrics: Record<string, Statistics & { difference?: Statistics }>;
 }
 export interface PhysicsRow {

@@ -24,7 +24,8 @@ export function significant(value: number | null | undefined): string {
   return text.replaceAll('-', '−');
 }
 
-export function duration(seconds: number): string {
+export function duration(seconds: number | undefined): string {
+  if (seconds === undefined || !Number.isFinite(seconds)) return '–';
   if (seconds < 1) return `${Math.round(seconds * 1000)} ms`;
   if (seconds < 120) return `${fixed(seconds, seconds < 10 ? 2 : 1)} s`;
   return `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;

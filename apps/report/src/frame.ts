@@ -6,7 +6,16 @@ export function title(page: PageData, text: string, facts: (string | undefined |
   const { provenance } = page;
   document.title = `${text} – weft`;
   const all = [...facts, provenance?.seed !== undefined && `seed ${provenance.seed}`, provenance?.weft && `weft ${provenance.weft} (${provenance.commit})`];
-  return h('header', { class: 'top' }, h('div', {}, h('h1', {}, text), h('p', { class: 'sub' }, all.filter(Boolean).join(' · '))), themeSwitch());
+  return h('header', { class: 'top' }, h('div', {}, h('h1', {}, text), h('p', { class: 'sub' }, all.filter(Boolean).join(' · ')), ...mixedNotes(page)), themeSwitch());
+}
+
+/** What was accepted with --accept-changed. */
+function mixedNotes(page: PageData): HTMLElement[] {
+  const of = [
+    ...(page.ablation?.arms ?? []).flatMap((arm) => (arm.mixed ?? []).map((one) => ({ ...one, where: `arm ${arm.name}, ` }))),
+    ...[...(page.planning?.mixed ?? []), ...(page.estimation?.mixed ?? [])].map((one) => ({ ...one, where: '' })),
+  ];
+  return of.map((one) => h('p', { class: 'sub', 'data-key': 'mixed' }, `Mixed results: ${one.where}seeds ${one.seeds.join(', ')} belong to something else: ${one.changes.join('; ')}`));
 }
 
 export function tile(name: string, id: string, value: string, unit: string): HTMLElement {

@@ -88,7 +88,7 @@ const look = async (page, within = '') => count(await page.locator(`${within} .v
 const nextFrames = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done)))));
 
 async function sessionPage() {
-  const file = path.join(folder, 'session', 'report.html'), summary = json('session', 'summary.json');
+  const file = path.join(folder, 'session', 'report.html'), summary = { ...json('session', 'summary.json'), ...json('session', 'times.json')['summary.json'] };
   const size = statSync(file).size;
   assert.ok(size < 5e6, `the page has ${size} bytes`);
   const page = await open(file);

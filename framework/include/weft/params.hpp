@@ -39,6 +39,12 @@ struct Length {
   std::size_t count = 0;  ///< 0: any number
   std::string entries;    ///< names of the entries, for messages: "x, y, z"
 };
+/// The numeric variants of a plugin: versions of its code that differ in the last digits of their numbers, such as those
+/// for an instruction set. A choice among `auto` and their names. `auto` becomes the best one of this machine when a
+/// config is resolved, so that every saved config and identity names a variant.
+struct NumericVariant {
+  std::vector<std::string> here;  ///< those that this machine can run, the best one last; not empty
+};
 /// A ConfigNode that holds a mapping or the path of a file with that mapping.
 struct FileOrMapping {};
 /// What a key can change. Examples can join a dataset, and rows a table, if the keys that decide them are equal.
@@ -61,6 +67,7 @@ struct ParamInfo {
   std::vector<std::string> choices;  ///< of a choice
   Length length;                     ///< of a list
   Decides decides = Decides::results;
+  bool is_variant = false;  ///< a choice of a numeric variant
 };
 
 /// One parameter, as `visit` declares it.
@@ -73,6 +80,7 @@ struct Declaration {
   PluginSlot slot;
   Length length;
   bool is_file_or_mapping = false;
+  NumericVariant variant;  ///< `here` is empty for any other parameter
 };
 using ParamValue = std::variant<double*, std::int64_t*, bool*, std::string*, std::vector<double>*,
                                 std::vector<std::string>*, ConfigNode*, std::filesystem::path*>;
@@ -100,7 +108,7 @@ class WEFT_API ParamVisitor {
     declare(&value, name, text, marks...);
   }
   void operator()(const char* name, std::string& value, const Choice& choice, const char* text,
-                  const MarkOf<Decides> auto&... marks) {
+                  const MarkOf<Decides, NumericVariant> auto&... marks) {
     declare(&value, name, text, choice, marks...);
   }
   /// Free text.
@@ -165,6 +173,7 @@ class WEFT_API ParamVisitor {
   static void add(Declaration& declared, const PluginSlot& slot) { declared.slot = slot; }
   static void add(Declaration& declared, const Length& length) { declared.length = length; }
   static void add(Declaration& declared, FileOrMapping) { declared.is_file_or_mapping = true; }
+  static void add(Declaration& declared, const NumericVariant& variant) { declared.variant = variant; }
   static void add(Declaration& declared, Decides decides) { declared.decides = decides; }
 
   Decides decides_ = Decides::results;  // of the part that is being visited

@@ -15,6 +15,7 @@ struct FitOptions {
   std::filesystem::path model;       ///< file of the best model so far; whole or absent
   std::filesystem::path checkpoint;  ///< state for resuming: read if it exists, rewritten regularly; empty: none
   std::string provenance;            ///< version, commit and plugins, JSON; recorded in the model
+  bool accept_changed = false;       ///< go on from a checkpoint of other settings or data, if its sizes fit
 };
 
 /// State of a running fit, for progress lines.

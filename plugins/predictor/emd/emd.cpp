@@ -334,7 +334,7 @@ void EmdPredictor::bind(const Task& task) {
   auto bound = std::make_shared<Bound>();
   bound->task = task;
   bound->model = model_;
-  bound->network = std::make_unique<const Network>(*model_, kernels());
+  bound->network = std::make_unique<const Network>(*model_, kernels(params_.kernels));
   bound_ = std::move(bound);
 }
 
@@ -353,7 +353,7 @@ std::unique_ptr<Prediction> EmdPredictor::predict(const std::vector<PredictionCa
 
 FitReport EmdPredictor::fit(const Dataset& dataset, const Task& task, const FitOptions& options,
                             const FitObserver& observer) {
-  const auto run = reinterpret_cast<FitFunction>(training_function("weft_emd_fit"));
+  const auto run = reinterpret_cast<FitFunction>(training_function("weft_emd_fit", params_.kernels));
   FitJob job{dataset, task, params_.architecture, params_.training, options, observer, host_, {}, {}};
   run(job);
   model_ = std::make_shared<const Model>(std::move(job.model));
@@ -381,7 +381,7 @@ CalibrationReport EmdPredictor::calibrate(const Dataset& dataset, const std::vec
     if (i >= dataset.examples.size() || dataset.examples[i].failed())
       throw ShapeError("emd: the dataset has no good example at position " + std::to_string(i));
   }
-  const auto run = reinterpret_cast<CalibrationFunction>(training_function("weft_emd_calibrate"));
+  const auto run = reinterpret_cast<CalibrationFunction>(training_function("weft_emd_calibrate", params_.kernels));
   CalibrationJob job{dataset, examples, params_.training, options.seed, host_, *model_, {}};
   run(job);
   job.model.calibrated = dataset.origins();

@@ -1,6 +1,7 @@
 #pragma once
 #include <string>
 
+#include "kernels/kernels.hpp"
 #include "weft/params.hpp"
 
 namespace weft::emd {
@@ -115,8 +116,10 @@ struct Training {
     v("patience", patience, range(1, 1e9, "evaluations"),
       "SignSGD: halve the rate after this many in a row without a new best.");
     v("stop_after", stop_after, range(1, 1e9, "evaluations"), "Stop after this many in a row without a new best.");
-    v("time_limit_s", time_limit_s, range(0, 1e9, "s"), "Training and its cosine decay end by then; 0: no limit.");
-    v("checkpoint_every", checkpoint_every, range(1, 1e9, "iterations"), "How often the state is saved, for resuming.");
+    v("time_limit_s", time_limit_s, range(0, 1e9, "s"), "Training and its cosine decay end by then; 0: no limit.",
+      Decides::nothing);  // may be raised from one run to the next
+    v("checkpoint_every", checkpoint_every, range(1, 1e9, "iterations"), "How often the state is saved, for resuming.",
+      Decides::nothing);
     v("max_examples", max_examples, range(0, 1e9), "Train on the first n examples only (learning curves); 0: all.");
     v("half_precision", half_precision, "Store the weights as 16-bit numbers.");
     v("calibrate", calibrate, "Calibrate sigma, per number of segments, to the errors on the validation split.");
@@ -132,6 +135,7 @@ struct Params {
   std::filesystem::path model;
   std::string other_fabric = "refuse";
   bool untrained = false;
+  std::string kernels = "auto";
   Architecture architecture;
   Training training;
 
@@ -141,6 +145,10 @@ struct Params {
     v("other_fabric", other_fabric, choice({"refuse", "warn"}),
       "What to do when the task's material space is not the one of the training data.");
     v("untrained", untrained, "Without a model file, use random weights: for timing and tests, not for planning.");
+    v("kernels", kernels, choice({"auto", "v2", "v3", "v4"}),
+      "Instruction set of the inner loops, and of libtorch in training: x86-64-v2, -v3 or -v4; their last digits differ. "
+      "auto: the processor's best, and the one that a used folder was begun with.",
+      NumericVariant{kernels_here()});
     v.group("architecture", architecture, "The network, for training; a model file brings its own.");
     v.group("training", training, "How the network is fitted.");
   }

@@ -46,7 +46,9 @@ struct AutogradJob {
 using AutogradFunction = void (*)(AutogradJob& job);
 
 /// A function of the training library. The first call loads the library, which lies beside this plugin. It is never
-/// unloaded, since libtorch does not survive that. @throws Unsupported when weft was built without libtorch.
-void* training_function(const char* name);
+/// unloaded, since libtorch does not survive that.
+/// @param kernels numeric variant: libtorch and OpenBLAS choose their code by it when they are loaded.
+/// @throws Unsupported when weft was built without libtorch, or when it was loaded for another variant.
+void* training_function(const char* name, const std::string& kernels = "auto");
 
 }  // namespace weft::emd

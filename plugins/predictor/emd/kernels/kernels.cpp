@@ -1,8 +1,9 @@
 #include "kernels.hpp"
 
 #include <algorithm>
-#include <cstdlib>
 #include <cstring>
+
+#include "weft/error.hpp"
 
 namespace weft::emd {
 
@@ -43,17 +44,17 @@ const Kernels* find_kernels(const char* name) {
   return nullptr;
 }
 
-const Kernels& kernels() {
-  static const Kernels& chosen = []() -> const Kernels& {
-    if (const char* wanted = std::getenv("WEFT_EMD_ISA")) {
-      if (const Kernels* found = find_kernels(wanted)) return *found;
-    }
-    for (const char* name : {"v4", "v3"}) {
-      if (const Kernels* found = find_kernels(name)) return *found;
-    }
-    return v2::table;
-  }();
-  return chosen;
+std::vector<std::string> kernels_here() {
+  std::vector<std::string> names;
+  for (const char* name : {"v2", "v3", "v4"})
+    if (find_kernels(name) != nullptr) names.emplace_back(name);
+  return names;
+}
+
+const Kernels& kernels(const std::string& name) {
+  const Kernels* found = find_kernels(name == "auto" ? kernels_here().back().c_str() : name.c_str());
+  if (found == nullptr) throw Unsupported("emd: this processor cannot run the kernels '" + name + "'");
+  return *found;
 }
 
 }  // namespace weft::emd

@@ -1,5 +1,7 @@
 #pragma once
 #include <cstddef>
+#include <string>
+#include <vector>
 
 namespace weft::emd {
 
@@ -29,8 +31,10 @@ struct Kernels {
   void (*exponential)(std::size_t count, const float* x, float* y);
 };
 
-/// The best version for this processor. WEFT_EMD_ISA=v2|v3|v4 asks for another one (tests).
-const Kernels& kernels();
+/// The names of the versions that this processor can run, the best one last.
+std::vector<std::string> kernels_here();
+/// A version by name; "auto": the best one for this processor. @throws Unsupported if this processor lacks it.
+const Kernels& kernels(const std::string& name = "auto");
 /// A version by name ("v2", "v3", "v4"); null if this processor lacks it.
 const Kernels* find_kernels(const char* name);
 

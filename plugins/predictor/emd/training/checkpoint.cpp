@@ -14,10 +14,12 @@ std::string identity_of(const FitJob& job, std::size_t train, std::size_t valida
                      " " + std::to_string(job.options.seed);
   struct Writer {
     std::string& out;
-    void operator()(const char*, double& v, const Range&, const char*) {
+    void operator()(const char*, double& v, const Range&, const char*, Decides = Decides::results) {
       out += " " + ConfigNode::number(v).as_string();
     }
-    void operator()(const char*, std::int64_t& v, const Range&, const char*) { out += " " + std::to_string(v); }
+    void operator()(const char*, std::int64_t& v, const Range&, const char*, Decides = Decides::results) {
+      out += " " + std::to_string(v);
+    }
     void operator()(const char*, bool& v, const char*) { out += v ? " 1" : " 0"; }
     void operator()(const char*, std::string& v, const Choice&, const char*) { out += " " + v; }
   } writer{text};
@@ -35,6 +37,7 @@ std::string identity_of(const FitJob& job, std::size_t train, std::size_t valida
 Checkpoint::Checkpoint(const FitJob& job, std::size_t train, std::size_t validation)
     : path_(job.options.checkpoint),
       identity_(identity_of(job, train, validation)),
+      accept_changed_(job.options.accept_changed),
       has_second_moment_(job.training.optimiser == "adam") {}
 
 void Checkpoint::save(const FitState& state, const Model& model) const {
@@ -77,7 +80,7 @@ std::optional<FitState> Checkpoint::load(Model& model) const {
   const auto refuse = [&](const std::string& reason) { throw ConfigError(path_.string() + ": " + reason); };
   const auto file = Hdf5File::open(path_);
   if (!file.has("/schema") || file.read_text("/schema") != kSchema) refuse("is not a checkpoint of the predictor emd");
-  if (file.read_text("/identity") != identity_) {
+  if (!accept_changed_ && file.read_text("/identity") != identity_) {
     refuse("belongs to a fit with other settings or data; remove it to start again");
   }
   const auto read = [&](const std::string& name, std::size_t size) {

@@ -53,7 +53,7 @@ class Checkpoint {
  private:
   std::filesystem::path path_;
   std::string identity_;
-  bool has_second_moment_;
+  bool accept_changed_, has_second_moment_;
 };
 
 }  // namespace weft::emd

@@ -214,16 +214,14 @@ class Fit {
     r.seconds = seconds();
     r.best_loss = state_.best_loss;
     r.resumed = first_iteration_ > 0;
-    r.json = training_json(stopped_by, r.seconds).dump(2) + "\n";
+    r.json = training_json(stopped_by).dump(2) + "\n";
   }
 
-  ordered_json training_json(const std::string& stopped_by, double seconds) const {
+  /// Without times: the same fit gives the same file.
+  ordered_json training_json(const std::string& stopped_by) const {
     ordered_json json;
     json["iterations"] = state_.iteration;
     json["stopped_by"] = stopped_by;
-    json["seconds"] = seconds;
-    json["iterations_per_s"] = (state_.iteration - first_iteration_) / std::max(1e-9, seconds - earlier_seconds_);
-    json["threads"] = job_.host.threads();
     json["examples"] = {{"train", examples_.train.size()}, {"validation", examples_.validation.size()}};
     json["parameters"] = state_.weights.size();
     json["dataset"] = job_.dataset.header.identity;

@@ -29,7 +29,7 @@ Outcome weft_command(const std::string& arguments) {
 }
 std::string misbehaving(const std::string& how) { return "{plugin: misbehaves, params: {how: " + how + "}}"; }
 
-TEST(Misbehaving, RunNamesThePluginAndTheCall) {
+TEST(Isolation, RunNamesThePluginAndTheCall) {
   const Folder folder;
   const auto task = folder.write("task.yaml", kTask + "optimiser: {plugin: rprop}\n");
   const auto run = [&](const std::string& how) {
@@ -51,7 +51,7 @@ TEST(Misbehaving, RunNamesThePluginAndTheCall) {
   EXPECT_THAT(thrown.output, AllOf(HasSubstr("misbehaves"), HasSubstr("not a std::exception")));
 }
 
-TEST(Misbehaving, CostsItsCellOnly) {
+TEST(Isolation, CostsItsCellOnly) {
   const Folder folder;
   folder.write("task.yaml", kTask);
   std::string factors = "task: task.yaml\nseeds: [1]\nfactors:\n  optimiser:\n    good: {optimiser: {plugin: rprop}}\n";

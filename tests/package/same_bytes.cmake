@@ -1,0 +1,45 @@
+cmake_minimum_required(VERSION 3.25)
+# Run with -P. A result belongs to the bytes of its plugins' libraries, so a build of the same commit from another folder
+# must have the same bytes. ROOT: weft's sources; BUILD: weft's build tree; WORK: scratch folder, emptied first; the rest
+# is how BUILD was configured.
+function(run)
+  execute_process(COMMAND ${ARGN} RESULT_VARIABLE code OUTPUT_VARIABLE output ERROR_VARIABLE output)
+  if(code)
+    list(JOIN ARGN " " line)
+    message(FATAL_ERROR "${line}: exit code ${code}\n${output}")
+  endif()
+endfunction()
+
+file(REMOVE_RECURSE ${WORK})
+foreach(part CMakeLists.txt framework plugins apps cmake configs tests/package/plugins)
+  get_filename_component(folder ${part} DIRECTORY)
+  file(COPY ${ROOT}/${part} DESTINATION ${WORK}/a/longer/way/weft/${folder})
+endforeach()
+# No compiler cache: it could hand out what was compiled in the other folder.
+run(${CMAKE_COMMAND} -S ${WORK}/a/longer/way/weft -B ${WORK}/b -G ${GENERATOR} -DCMAKE_CXX_COMPILER=${CXX}
+    -DCMAKE_BUILD_TYPE=${TYPE} -DCMAKE_CXX_FLAGS=${FLAGS} -DWEFT_SANITIZE=${SANITIZE} -DWEFT_WERROR=${WERROR}
+    -DWEFT_BUILD_TESTS=OFF)
+run(${CMAKE_COMMAND} --build ${WORK}/b --target weft_trajectory_arc weft_optimiser_rprop)
+foreach(library trajectory_arc optimiser_rprop)
+  set(name ${LIBDIR}/weft/plugins/libweft_${library}.so)
+  file(SHA256 ${BUILD}/${name} here)
+  file(SHA256 ${WORK}/b/${name} there)
+  if(NOT here STREQUAL there)
+    message(FATAL_ERROR "${name} differs between two build folders: ${here}, ${there}")
+  endif()
+  message(STATUS "${name}: ${here} in both")
+endforeach()
+file(GLOB here ${BUILD}/${LIBDIR}/libweft.so.*.*)
+get_filename_component(name ${here} NAME)
+file(SHA256 ${here} here)
+file(SHA256 ${WORK}/b/${LIBDIR}/${name} there)
+if(NOT here STREQUAL there)
+  message(FATAL_ERROR "${name} differs between two build folders")
+endif()
+# Installing does not change the bytes either.
+run(${CMAKE_COMMAND} --install ${BUILD} --prefix ${WORK}/installed)
+file(SHA256 ${WORK}/installed/${LIBDIR}/weft/plugins/libweft_trajectory_arc.so installed)
+file(SHA256 ${BUILD}/${LIBDIR}/weft/plugins/libweft_trajectory_arc.so built)
+if(NOT installed STREQUAL built)
+  message(FATAL_ERROR "installing libweft_trajectory_arc.so changed its bytes")
+endif()
