@@ -406,7 +406,7 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
     }
   }
   if (!std::isfinite(estimate.loss))
-    throw Error("estimation: no instance reached a finite loss: " + results.front().message);
+    throw Diverged("estimation: no instance reached a finite loss: " + results.front().message);
   estimate.ended = search_end(results, estimate.instance);
   const Vector& best = results[estimate.instance].x;
   const auto prediction = predictor_->predict({objective.make_case(best)}, {.moments = Moments::mean_and_sigma});

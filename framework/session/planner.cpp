@@ -402,7 +402,8 @@ Plan Planner::plan(const PlanRequest& request) const {
       plan.instance = i;
     }
   }
-  if (!std::isfinite(plan.loss)) throw Error("planning: no instance reached a finite loss: " + results.front().message);
+  if (!std::isfinite(plan.loss))
+    throw Diverged("planning: no instance reached a finite loss: " + results.front().message);
 
   plan.ended = search_end(results, plan.instance);
 
