@@ -66,7 +66,7 @@ std::string_view next_word(std::string_view& rest) {
   return word;
 }
 
-struct Reader {
+struct ObjReader {
   std::string name;
   std::size_t line = 0;
   std::vector<std::array<double, 3>> vertices;
@@ -279,7 +279,7 @@ void append_number(std::string& out, double value, bool exact) {
 
 Mesh read_obj(const std::filesystem::path& path) {
   const std::string text = read_whole(path);
-  Reader reader;
+  ObjReader reader;
   reader.name = path.string();
   std::string joined;  // a statement continued over several lines by a trailing backslash
   std::size_t begin = 0;
