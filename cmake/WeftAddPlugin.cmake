@@ -1,8 +1,3 @@
-# weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
-#                 [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
-# Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
-# `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
-# Where nobody has chosen a build type it becomes Release: without optimisation the laws of a simulator take minutes.
 # A result belongs to the bytes of its plugins' libraries, so these must not depend on the folders of source and build.
 function(weft_same_bytes_anywhere target)
   # The last one that fits counts, and the build folder may lie in the source folder.
@@ -10,6 +5,11 @@ function(weft_same_bytes_anywhere target)
     -ffile-prefix-map=${CMAKE_SOURCE_DIR}=source -ffile-prefix-map=${CMAKE_BINARY_DIR}=build)
 endfunction()
 
+# weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
+#                 [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
+# Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
+# `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
+# Where nobody has chosen a build type it becomes Release: without optimisation the laws of a simulator take minutes.
 function(weft_add_plugin name)
   cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;MARCH;CONFORMANCE;OUTPUT_DIRECTORY" "SOURCES;LIBRARIES" ${ARGN})
   if(NOT ARG_KIND MATCHES "^(simulator|predictor|trajectory|optimiser)$")
