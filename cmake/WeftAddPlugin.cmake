@@ -1,9 +1,3 @@
-# weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
-#                 [VERSION 1.0.0] [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
-# Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
-# `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
-# NAME, KIND and, if given, VERSION must be those of WEFT_PLUGIN; the compiler says so when they differ.
-# Where nobody has chosen a build type it becomes Release: without optimisation the laws of a simulator take minutes.
 # A result belongs to the bytes of its plugins' libraries, so these must not depend on the folders of source and build.
 function(weft_same_bytes_anywhere target)
   # The last one that fits counts, and the build folder may lie in the source folder.
@@ -11,6 +5,12 @@ function(weft_same_bytes_anywhere target)
     -ffile-prefix-map=${CMAKE_SOURCE_DIR}=source -ffile-prefix-map=${CMAKE_BINARY_DIR}=build)
 endfunction()
 
+# weft_add_plugin(NAME KIND simulator|predictor|trajectory|optimiser SOURCES ... [LIBRARIES ...] [MARCH x86-64-v3]
+#                 [VERSION 1.0.0] [CONFORMANCE file.yaml] [OUTPUT_DIRECTORY folder] [NO_CONFORMANCE_TEST] [NO_INSTALL])
+# Builds lib<NAME> as a plugin in the folder where the loader looks, installs it there, and registers
+# `weft conformance` on it in ctest. Works in weft's own tree and after find_package(weft).
+# NAME, KIND and, if given, VERSION must be those of WEFT_PLUGIN; the compiler says so when they differ.
+# Where nobody has chosen a build type it becomes Release: without optimisation the laws of a simulator take minutes.
 function(weft_add_plugin name)
   cmake_parse_arguments(ARG "NO_CONFORMANCE_TEST;NO_INSTALL" "KIND;VERSION;MARCH;CONFORMANCE;OUTPUT_DIRECTORY" "SOURCES;LIBRARIES" ${ARGN})
   if(NOT ARG_KIND MATCHES "^(simulator|predictor|trajectory|optimiser)$")
