@@ -6,6 +6,7 @@
 #include <mutex>
 
 #include "learning/dataset_files.hpp"
+#include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
 #include "simulation/fold.hpp"
 
@@ -55,7 +56,7 @@ Example make_example(Simulator& simulator, const Task& task, const DataParams& p
   RandomStream jitter = streams.child(2);
   for (Index j = 0; j < controls.rows(); ++j) {
     for (Index c = 0; c < controls.cols(); ++c) {
-      const auto& v = variables[static_cast<std::size_t>(c)];
+      const auto& v = variables[c];
       controls(j, c) =
           std::clamp(controls(j, c) + amplitude * params.jitter * v.scale * jitter.normal(), v.lower, v.upper);
     }
@@ -189,7 +190,7 @@ GenerateReport generate_dataset(const Task& task, const DataParams& params, cons
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
   };
   GenerateReport report;
-  fs::create_directories(options.folder);
+  make_writable_folder(options.folder);
   remove_temporaries(options);
   const auto missing = missing_files(header, params.shard_examples, options, report, host);
   std::int64_t total = 0;
