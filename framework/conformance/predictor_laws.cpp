@@ -1,4 +1,5 @@
 // The laws of a predictor. It is bound to a small towel fold, or to the `task:` of its tolerances.
+// More than 700 lines: a table of laws, one function each.
 #include <algorithm>
 #include <functional>
 

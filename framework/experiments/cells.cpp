@@ -27,7 +27,7 @@ SweepOutcome run_physics_cell(const ConfigNode& config, Host& host) {
   read_params(config, params);
   const auto task = std::make_shared<const Task>(make_task(params.task, config, host));
   const auto cases = physics_cases(params.physics, task, config);
-  const PhysicsCase& one = cases.at(static_cast<std::size_t>(params.seed));
+  const PhysicsCase& one = cases.at(params.seed);
   std::vector<SimulatorVariant> variants{simulator_variant("arm", host, task->simulator)};
   const bool against_itself = task->simulator.to_yaml() == params.other.to_yaml();
   if (one.test == "paired folds" && !params.other.is_null() && !against_itself)
@@ -53,10 +53,11 @@ SweepOutcome run_physics_cell(const ConfigNode& config, Host& host) {
 
 SweepOutcome session_outcome(const SessionResult& result) {
   SweepOutcome outcome;
-  std::uint64_t hash = fnv1a(result.goal.data(), sizeof(double) * static_cast<std::size_t>(result.goal.size()));
-  hash = fnv1a(result.start.data(), sizeof(double) * static_cast<std::size_t>(result.start.size()), hash);
-  if (result.true_material) hash = fnv1a(result.true_material->data(), sizeof(double) * 4, hash);
-  outcome.paired_by = hex_digits(hash);
+  Fnv1a hash;
+  hash.add(result.goal.data(), sizeof(double) * result.goal.size());
+  hash.add(result.start.data(), sizeof(double) * result.start.size());
+  if (result.true_material) hash.add(result.true_material->data(), sizeof(double) * 4);
+  outcome.paired_by = hex_digits(hash.value());
   double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, refinement_seconds = 0;
   for (const auto& round : result.rounds) {
     evaluations += static_cast<double>(round.plan.evaluations);

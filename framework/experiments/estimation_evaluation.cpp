@@ -9,6 +9,7 @@
 #include "experiments/statistics.hpp"
 #include "experiments/sweep_rows.hpp"
 #include "report/cases_file.hpp"
+#include "sdk/files.hpp"
 #include "session/replay.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
@@ -261,7 +262,7 @@ SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& da
     const Example* known = cases.example(seed);
     const Example example = known != nullptr ? *known : make_released(task, data, seed, host);
     const Index vertices = task.garment->vertex_count();
-    fs::create_directories(folder / "shapes");
+    make_writable_folder(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, params.estimation.method));
     file.write("/shapes", {example.segments() + 1, vertices, 3}, example.shapes.data());
     file.commit();

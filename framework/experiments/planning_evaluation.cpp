@@ -9,6 +9,7 @@
 #include "experiments/statistics.hpp"
 #include "experiments/sweep_rows.hpp"
 #include "report/cases_file.hpp"
+#include "sdk/files.hpp"
 #include "session/session.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"
@@ -139,7 +140,7 @@ SweepRunner planning_runner(const EvaluationCases& cases, const fs::path& folder
     SessionParams params;
     read_params(config, params);
     const SessionResult result = run_configured_session(params, config, host);
-    fs::create_directories(folder / "shapes");
+    make_writable_folder(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, width_level(params.drawn_width)));
     file.write("/goal", result.goal);
     file.write("/final", result.final_shape);

@@ -18,8 +18,8 @@ Vector describe_example(const Example& e, const Trajectory& trajectory) {
   Index at = 0;
   for (Index p = 0; p < kPoints; ++p) {
     const double wanted = progress.back() * static_cast<double>(p + 1) / static_cast<double>(kPoints);
-    while (at + 1 < e.segments() && progress[static_cast<std::size_t>(at + 1)] < wanted) ++at;
-    const double a = progress[static_cast<std::size_t>(at)], b = progress[static_cast<std::size_t>(at + 1)];
+    while (at + 1 < e.segments() && progress[at + 1] < wanted) ++at;
+    const double a = progress[at], b = progress[at + 1];
     const double t = b > a ? std::clamp((wanted - a) / (b - a), 0.0, 1.0) : 1.0;
     features.segment(4 + p * s, s) = ((1.0 - t) * e.states.row(at) + t * e.states.row(at + 1)).transpose();
   }
@@ -49,9 +49,9 @@ std::map<std::string, PredictionFigures> measure_baselines(const Dataset& datase
     Eigen::MatrixXf shapes(n, m);
     std::vector<Vector> features;
     for (Index k = 0; k < m; ++k) {
-      const Positions shape = settled(train[static_cast<std::size_t>(k)]);
+      const Positions shape = settled(train[k]);
       shapes.col(k) = Eigen::Map<const Vector>(shape.data(), n).cast<float>();
-      features.push_back(describe_example(dataset.examples[train[static_cast<std::size_t>(k)]], trajectory));
+      features.push_back(describe_example(dataset.examples[train[k]], trajectory));
     }
     const Index f = features.front().size();
     Vector mean = Vector::Zero(f), sd = Vector::Zero(f);
@@ -73,7 +73,7 @@ std::map<std::string, PredictionFigures> measure_baselines(const Dataset& datase
     const Matrix codes = (basis.transpose() * (shapes.colwise() - centre)).cast<double>();
     Matrix design(m, f + 1);
     for (Index k = 0; k < m; ++k) {
-      design.row(k).head(f) = (features[static_cast<std::size_t>(k)] - mean).cwiseQuotient(sd).transpose();
+      design.row(k).head(f) = (features[k] - mean).cwiseQuotient(sd).transpose();
       design(k, f) = 1.0;
     }
     Matrix normal = design.transpose() * design;

@@ -5,6 +5,8 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 #include <numeric>
+#include <optional>
+#include <utility>
 
 #include "experiments/prediction_baselines.hpp"
 #include "report/cases_file.hpp"
@@ -33,15 +35,59 @@ std::vector<Start> random_starts(const Dataset& dataset, const std::vector<std::
   std::vector<Start> starts;
   for (const std::size_t i : examples) {
     const auto& e = dataset.examples[i];
-    RandomStream random(seed, 0x7374617274ull, static_cast<std::uint64_t>(e.index));
+    RandomStream random(seed, 0x7374617274ull, e.index);
     std::vector<Index> segments;
     for (Index j = 1; j < e.segments(); ++j) segments.push_back(j);
-    for (std::size_t k = 0; k < segments.size() && k < static_cast<std::size_t>(count); ++k) {
+    for (std::size_t k = 0; k < segments.size() && std::cmp_less(k, count); ++k) {
       std::swap(segments[k], segments[k + random.below(segments.size() - k)]);
       starts.push_back({i, segments[k]});
     }
   }
   return starts;
+}
+
+/// A case that predicts the rest of an example. @param most segments that the predictor takes.
+PredictionCase case_from(const Dataset& dataset, const Start& start, bool has_knowledge, std::optional<Index> most) {
+  const auto& e = dataset.examples[start.example];
+  PredictionCase one;
+  one.shape = std::make_shared<const Positions>(dataset.shape(start.example, start.segment));
+  if (start.segment > 0)
+    one.previous = std::make_shared<const Positions>(dataset.shape(start.example, start.segment - 1));
+  one.state = e.states.row(start.segment).transpose();
+  const Index left = e.segments() - start.segment;
+  one.controls = e.controls.middleRows(start.segment, std::min(left, most.value_or(left)));
+  one.knowledge = has_knowledge ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
+  for (Index j = 1; j <= one.controls.rows(); ++j) one.segments.push_back(j);
+  return one;
+}
+
+/// Figures of one kind of prediction: of the settled shapes, and after 1, 2, ... segments.
+struct Tallies {
+  PredictionTally settled;
+  std::vector<PredictionTally> by_step;
+};
+
+/// Compares the shapes that were predicted from a start with the recorded ones.
+/// @param from_start collects the example's error and the first shapes for the page; null: it does not.
+void add_prediction(Tallies& tallies, const Dataset& dataset, const Start& start,
+                    const std::vector<ShapeDistribution>& shapes, PredictionEvaluation* from_start) {
+  const auto& e = dataset.examples[start.example];
+  if (tallies.by_step.size() < shapes.size()) tallies.by_step.resize(shapes.size());
+  for (std::size_t j = 0; j < shapes.size(); ++j) {
+    const ShapeDistribution& shape = shapes[j];
+    const Index ahead = j + 1;
+    const Positions truth = dataset.shape(start.example, start.segment + ahead);
+    tallies.by_step[j].add(start.example, shape, truth, ahead);
+    if (start.segment + ahead < e.segments() || !e.released) continue;
+    tallies.settled.add(start.example, shape, truth, ahead);
+    if (from_start == nullptr) continue;
+    from_start->examples.push_back(
+        {e.index, ahead, mean_distance_mm(shape.mean, truth), 1e3 * shape.sigma.rowwise().norm().mean()});
+    if (from_start->settled.size() < kShownExamples) {
+      from_start->settled.push_back(truth);
+      from_start->predicted.push_back(shape.mean);
+    }
+  }
 }
 
 }  // namespace
@@ -50,8 +96,7 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
                                          const PredictionEvaluationParams& params, std::uint64_t seed, Host& host) {
   const auto split = split_or_all(params.split);
   std::vector<std::size_t> chosen = dataset.select(split);
-  if (params.max_examples > 0 && static_cast<std::size_t>(params.max_examples) < chosen.size())
-    chosen.resize(static_cast<std::size_t>(params.max_examples));
+  if (params.max_examples > 0 && std::cmp_less(params.max_examples, chosen.size())) chosen.resize(params.max_examples);
   if (chosen.empty()) throw ConfigError("the dataset has no example in split " + params.split + "; make more examples");
 
   PredictionEvaluation result;
@@ -65,58 +110,30 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
                       {true, true, &result.from_random, &result.by_step_from_random},
                       {false, false, &result.no_knowledge, &result.by_step_no_knowledge}};
   for (const auto& way : ways) {
-    PredictionTally settled;
-    std::vector<PredictionTally> by_step;
+    Tallies tallies;
     const std::vector<Start> starts =
         way.from_random ? random_starts(dataset, chosen, params.random_starts, seed) : first_starts(chosen);
-    for (std::size_t first = 0; first < starts.size() && !host.cancelled();
-         first += static_cast<std::size_t>(params.batch)) {
-      const std::size_t count = std::min(static_cast<std::size_t>(params.batch), starts.size() - first);
+    for (std::size_t first = 0; first < starts.size() && !host.cancelled(); first += params.batch) {
+      const std::size_t count = std::min<std::size_t>(params.batch, starts.size() - first);
       std::vector<PredictionCase> cases;
       for (std::size_t b = 0; b < count; ++b) {
-        const auto [i, start] = starts[first + b];
-        const auto& e = dataset.examples[i];
-        PredictionCase one;
-        one.shape = std::make_shared<const Positions>(dataset.shape(i, start));
-        if (start > 0) one.previous = std::make_shared<const Positions>(dataset.shape(i, start - 1));
-        one.state = e.states.row(start).transpose();
-        const Index left = e.segments() - start, steps = std::min(left, predictor.max_segments().value_or(left));
-        result.shortened += steps < left;
-        one.controls = e.controls.middleRows(start, steps);
-        one.knowledge = way.has_knowledge ? MaterialKnowledge::certain(e.q) : MaterialKnowledge::none();
-        for (Index j = 1; j <= one.controls.rows(); ++j) one.segments.push_back(j);
-        cases.push_back(std::move(one));
+        const Start& start = starts[first + b];
+        cases.push_back(case_from(dataset, start, way.has_knowledge, predictor.max_segments()));
+        result.shortened += cases.back().controls.rows() < dataset.examples[start.example].segments() - start.segment;
       }
       const auto started = std::chrono::steady_clock::now();
       const auto prediction = predictor.predict(cases, {.moments = Moments::mean_and_sigma});
       result.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+      const bool from_start = way.settled == &result.from_start;
       for (std::size_t b = 0; b < count; ++b) {
-        if (!prediction->failure(b).empty()) {
+        if (prediction->failure(b).empty())
+          add_prediction(tallies, dataset, starts[first + b], prediction->shapes()[b], from_start ? &result : nullptr);
+        else
           ++result.failed;
-          continue;
-        }
-        const auto [i, start] = starts[first + b];
-        const auto steps = static_cast<std::size_t>(cases[b].controls.rows());
-        if (by_step.size() < steps) by_step.resize(steps);
-        for (std::size_t j = 0; j < steps; ++j) {
-          const ShapeDistribution& shape = prediction->shapes()[b][j];
-          const Index ahead = static_cast<Index>(j) + 1;
-          const Positions truth = dataset.shape(i, start + ahead);
-          by_step[j].add(i, shape, truth, ahead);
-          if (start + ahead < dataset.examples[i].segments() || !dataset.examples[i].released) continue;
-          settled.add(i, shape, truth, ahead);
-          if (way.settled != &result.from_start) continue;
-          result.examples.push_back({dataset.examples[i].index, ahead, mean_distance_mm(shape.mean, truth),
-                                     1e3 * shape.sigma.rowwise().norm().mean()});
-          if (result.settled.size() < kShownExamples) {
-            result.settled.push_back(truth);
-            result.predicted.push_back(shape.mean);
-          }
-        }
       }
     }
-    *way.settled = settled.figures();
-    for (const auto& tally : by_step) way.by_step->push_back(tally.figures());
+    *way.settled = tallies.settled.figures();
+    for (const auto& tally : tallies.by_step) way.by_step->push_back(tally.figures());
   }
   if (params.baselines) {
     std::vector<std::size_t> released;

@@ -7,6 +7,7 @@
 #include <set>
 
 #include "identity/identity.hpp"
+#include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
 #include "weft/hdf5_file.hpp"
 
@@ -407,7 +408,7 @@ std::map<std::int64_t, std::vector<fs::path>> canonical_files(const std::vector<
 std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& to) {
   DatasetHeader header;
   const auto files = canonical_files(from, header);
-  fs::create_directories(to);
+  make_writable_folder(to);
   if (!list_shards(to).empty()) refuse(to, "holds a dataset already; merge into an empty folder");
   for (const auto& [number, sources] : files) {
     std::map<std::int64_t, Example> examples;
@@ -439,7 +440,7 @@ std::array<std::int64_t, 3> split_dataset(const fs::path& from, const fs::path& 
   std::array<std::int64_t, 3> counts{};
   for (std::size_t s = 0; s < 3; ++s) {
     const auto folder = to / kSplitNames[s];
-    fs::create_directories(folder);
+    make_writable_folder(folder);
     if (!list_shards(folder).empty()) refuse(folder, "holds a dataset already; split into an empty folder");
   }
   for (const auto& file : files) {

@@ -14,6 +14,7 @@
 #include "loader/where.hpp"
 #include "processes/claims.hpp"
 #include "processes/worker_process.hpp"
+#include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
 #include "simulation/fold.hpp"
 
@@ -134,7 +135,7 @@ Example make_example(Simulator& simulator, const Task& task, const DataParams& p
   RandomStream jitter = streams.child(2);
   for (Index j = 0; j < controls.rows(); ++j) {
     for (Index c = 0; c < controls.cols(); ++c) {
-      const auto& v = variables[static_cast<std::size_t>(c)];
+      const auto& v = variables[c];
       controls(j, c) =
           std::clamp(controls(j, c) + amplitude * params.jitter * v.scale * jitter.normal(), v.lower, v.upper);
     }
@@ -414,7 +415,7 @@ class Production {
 
 GenerateReport generate_dataset(const Task& task, const DataParams& params, const DatasetHeader& header,
                                 const GenerateOptions& options, Host& host, const GenerateProgress& progress) {
-  fs::create_directories(options.folder);
+  make_writable_folder(options.folder);
   Production production(task, params, header, options, host, progress);
   host.parallel_for(host.threads(), [&](std::int64_t) { production.work(); });
   return production.report();

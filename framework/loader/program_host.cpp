@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "loader/checked.hpp"
+#include "loader/processors.hpp"
 #include "loader/program_host.hpp"
 #include "loader/where.hpp"
 #include "processes/crash_report.hpp"
@@ -123,8 +124,7 @@ class ProgramHost final : public Host {
   ProgramHost(std::shared_ptr<const PluginRegistry> registry, const HostOptions& options)
       : registry_(std::move(registry)),
         options_(options),
-        threads_(options.threads > 0 ? options.threads
-                                     : std::max(1, static_cast<int>(std::thread::hardware_concurrency()))),
+        threads_(options.threads > 0 ? options.threads : allowed_processors()),
         pool_(threads_) {}
 
   std::vector<ConfigNode> files(const std::string& kind, const ConfigNode& slot) override {

@@ -12,7 +12,7 @@
 namespace weft {
 
 struct HostOptions {
-  int threads = 0;  ///< 0: all cores
+  int threads = 0;  ///< 0: allowed_processors()
   std::uint64_t seed = 0;
   std::function<void(LogLevel, const std::string&)> log;  ///< null: silent
   const std::atomic<bool>* cancel = nullptr;              ///< set by a signal handler

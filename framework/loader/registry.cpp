@@ -424,12 +424,19 @@ ConfigNode PluginRegistry::resolve(const std::string& kind, const ConfigNode& sl
   const ConfigNode resolved =
       read_params_erased(place(slot, "params"), const_cast<Library*>(library.get()), visit_erased);
   const ConfigNode params = resolve_slots(resolved, this->params(entry));
-  {
-    const std::lock_guard lock(impl_->mutex);
-    impl_->used[entry.kind + "/" + entry.name] = entry;
-  }
   // Keep the name rather than the file, unless the slot gives a file. A saved config then runs on another machine.
   return ConfigNode::mapping({{"plugin", ConfigNode::quoted(name)}, {"params", params}});
+}
+
+bool PluginRegistry::lacks_default(const ParamInfo& info, const ConfigNode& slot) const {
+  const ConfigNode name = slot.is_mapping() && slot.has("plugin") ? slot.at("plugin") : slot;
+  if (!name.is_scalar() || name.as_string() != info.default_value) return false;
+  try {
+    find(info.default_value, info.slot);
+    return false;
+  } catch (const PluginError&) {
+    return true;
+  }
 }
 
 ConfigNode PluginRegistry::resolve_slots(const ConfigNode& config, const std::vector<ParamInfo>& params) const {
@@ -437,7 +444,7 @@ ConfigNode PluginRegistry::resolve_slots(const ConfigNode& config, const std::ve
   for (const auto& info : params) {
     if (info.kind != ParamKind::slot) continue;
     const ConfigNode slot = place(config, info.name);
-    if (!slot.is_null()) resolved = resolved.with(info.name, resolve(info.slot, slot));
+    if (!slot.is_null() && !lacks_default(info, slot)) resolved = resolved.with(info.name, resolve(info.slot, slot));
   }
   return resolved;
 }
@@ -448,6 +455,7 @@ std::vector<ConfigNode> PluginRegistry::files(const ConfigNode& config, const st
     const ConfigNode node = place(config, info.name);
     if (node.is_null()) continue;
     if (info.kind == ParamKind::slot) {
+      if (lacks_default(info, node)) continue;
       for (auto& file : files(info.slot, node)) nested.push_back(std::move(file));
     } else if (info.kind == ParamKind::file || info.kind == ParamKind::file_or_mapping) {
       if (node.is_scalar() && !node.as_string().empty()) own.push_back(node);
@@ -481,6 +489,10 @@ std::pair<std::shared_ptr<void>, PluginEntry> PluginRegistry::create(const std::
     const PluginCall entry(label.c_str(), "its destructor");
     library->handle.get<DestroyFunction>("weft_plugin_destroy")(dying);
   };
+  {
+    const std::lock_guard lock(impl_->mutex);
+    impl_->used[library->entry.kind + "/" + library->entry.name] = library->entry;
+  }
   return {std::shared_ptr<void>(object, destroy), library->entry};
 }
 

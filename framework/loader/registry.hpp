@@ -42,7 +42,8 @@ class PluginRegistry {
   /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default, also in nested slots. Creates no
   /// plugin. @throws ConfigError, PluginError.
   ConfigNode resolve(const std::string& kind, const ConfigNode& slot) const;
-  /// A copy of the config in which every slot that `params` declares is resolved. A null slot stays null.
+  /// A copy of the config in which every slot that `params` declares is resolved. A null slot stays null. A slot that
+  /// names its default stays as it is if this build lacks that plugin: a command that never creates it can do without.
   ConfigNode resolve_slots(const ConfigNode& config, const std::vector<ParamInfo>& params) const;
   /// The nodes of a config that name files, in declared order: first its own, then those of the plugins in its slots.
   std::vector<ConfigNode> files(const ConfigNode& config, const std::vector<ParamInfo>& params) const;
@@ -51,13 +52,15 @@ class PluginRegistry {
   /// The object, whose deleter keeps the library loaded, and where it came from.
   std::pair<std::shared_ptr<void>, PluginEntry> create(const std::string& kind, const ConfigNode& slot,
                                                        Host& host) const;
-  /// Names and versions of every plugin that a resolved config uses.
+  /// Every plugin that was created, sorted by kind and name.
   std::vector<PluginEntry> used() const;
 
  private:
   struct Impl;
   /// The plugin's name as saved configs write it, and its entry. @throws as resolve().
   std::pair<std::string, PluginEntry> look_up(const std::string& kind, const ConfigNode& slot) const;
+  /// Whether a slot names its default plugin and that one is not on the search path, or was refused.
+  bool lacks_default(const ParamInfo& info, const ConfigNode& slot) const;
   std::unique_ptr<Impl> impl_;
 };
 

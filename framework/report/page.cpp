@@ -127,7 +127,7 @@ void add_cases(PageData& page, const fs::path& path) {
     for (std::size_t i = 0; i < finals.size(); ++i) {
       if (goal_of[i] < 0 || goal_of[i] >= static_cast<std::int64_t>(goals.size()))
         fail(group + "/goal_of", "names a goal that does not exist");
-      offset_list.push_back(page.shapes({finals[i] - goals[static_cast<std::size_t>(goal_of[i])]}));
+      offset_list.push_back(page.shapes({finals[i] - goals[goal_of[i]]}));
     }
     page.json["shapes"][name] = {{"goals", goal_list}, {"offsets", offset_list}, {"goal_of", goal_of}};
   }
@@ -234,13 +234,7 @@ std::string write_report(const fs::path& folder) {
   } else {
     page = experiment_page(found.text, folder);
   }
-  const fs::path file = folder / "report.html";
-  const fs::path temporary = file.string() + ".tmp";
-  std::ofstream stream(temporary, std::ios::binary);
-  stream << page;
-  stream.close();
-  if (!stream) throw Error(file.string() + ": cannot be written");
-  fs::rename(temporary, file);
+  write_text(folder / "report.html", page);
   return "";
 }
 

@@ -62,7 +62,7 @@ ordered_json PageData::shapes(const std::vector<Positions>& rows, double finest)
   const double step = std::max(finest, largest / 32767.0);
   std::vector<std::uint16_t> values, before;
   for (const auto& row : rows) {
-    std::vector<std::uint16_t> now(static_cast<std::size_t>(row.size()));
+    std::vector<std::uint16_t> now(row.size());
     for (std::size_t i = 0; i < now.size(); ++i) {
       now[i] = static_cast<std::uint16_t>(static_cast<std::int16_t>(std::lround(row.data()[i] / step)));
     }
@@ -84,7 +84,7 @@ ordered_json PageData::faces(const Faces& faces) {
 }
 
 ordered_json PageData::matrix(const Controls& matrix) {
-  std::vector<std::uint32_t> values(static_cast<std::size_t>(matrix.size()));
+  std::vector<std::uint32_t> values(matrix.size());
   const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> single = matrix.cast<float>();
   if (!values.empty()) std::memcpy(values.data(), single.data(), values.size() * sizeof(float));
   return store("f32", {matrix.rows(), matrix.cols()}, values, 1.0);

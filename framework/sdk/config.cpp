@@ -3,6 +3,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <charconv>
 #include <cmath>
 #include <cstring>
@@ -11,6 +12,10 @@
 #include <nlohmann/json.hpp>
 #include <set>
 #include <sstream>
+#include <utility>
+
+#include "sdk/files.hpp"
+#include "sdk/yaml_lines.hpp"
 
 #include "sdk/config_data.hpp"
 
@@ -33,6 +38,7 @@ struct Source {
   fs::path folder;
   bool has_lines = true;  // false: from the command line, so messages give no line number
   std::size_t nodes = 0;
+  std::vector<std::string_view> lines;
 
   int line(const YAML::Mark& mark) const { return has_lines && mark.line >= 0 ? mark.line + 1 : 0; }
 };
@@ -41,29 +47,11 @@ struct Source {
   throw ConfigError(file + (line > 0 ? ":" + std::to_string(line) : "") + ": " + message);
 }
 
-// Line of the first byte that is not UTF-8, or 0.
-int line_that_is_not_utf8(std::string_view text) {
-  int line = 1;
-  for (std::size_t i = 0; i < text.size();) {
-    const auto byte = [&](std::size_t k) { return k < text.size() ? static_cast<unsigned char>(text[k]) : 0u; };
-    const unsigned first = byte(i);
-    if (first == '\n') ++line;
-    const std::size_t length = first < 0x80         ? 1
-                               : first >> 5 == 0x6  ? 2
-                               : first >> 4 == 0xe  ? 3
-                               : first >> 3 == 0x1e ? 4
-                                                    : 0;
-    if (length == 0) return line;
-    std::uint32_t code = length == 1 ? first : first & (0x7fu >> length);
-    for (std::size_t k = 1; k < length; ++k) {
-      if (byte(i + k) >> 6 != 0x2) return line;
-      code = code << 6 | (byte(i + k) & 0x3fu);
-    }
-    constexpr std::uint32_t kLeast[] = {0, 0, 0x80, 0x800, 0x10000};
-    if (code < kLeast[length] || code > 0x10ffff || (code >= 0xd800 && code <= 0xdfff)) return line;
-    i += length;
-  }
-  return 0;
+/// YAML lets a quoted text run over lines, and yaml-cpp ends an open one with the file. So a quote that was forgotten
+/// would swallow the keys after it without a word.
+void require_closed_quote(const Source& source, const YAML::Mark& mark) {
+  if (mark.line < 0 || std::cmp_greater_equal(mark.line, source.lines.size())) return;
+  if (has_open_quote_at(source.lines[mark.line], mark.column)) fail_at(source.name, source.line(mark), kOpenQuote);
 }
 
 /// @param line of the node's key, for messages. The node of an alias would have the line of its anchor.
@@ -89,6 +77,7 @@ ConfigNode convert(const YAML::Node& node, Source& source, const std::string& pa
     kind = ConfigNode::Kind::scalar;
     text = node.Scalar();
     is_quoted = tag == "!" || tag == "tag:yaml.org,2002:str";
+    if (is_quoted) require_closed_quote(source, node.Mark());
   } else if (node.IsSequence()) {
     kind = ConfigNode::Kind::sequence;
     for (std::size_t i = 0; i < node.size(); ++i) {
@@ -101,6 +90,13 @@ ConfigNode convert(const YAML::Node& node, Source& source, const std::string& pa
       const int key_line = source.line(entry.first.Mark());
       if (!entry.first.IsScalar()) fail_at(source.name, key_line, "a key must be a plain text");
       const std::string& key = entry.first.Scalar();
+      if (entry.first.Tag() == "!") require_closed_quote(source, entry.first.Mark());
+      if (key == "<<" && entry.first.Tag() != "!") {
+        fail_at(source.name, key_line,
+                join(path, key) +
+                    ": merge keys are not supported; write the keys out, or take them from a file with "
+                    "`extends: FILE`");
+      }
       if (!seen.insert(key).second) fail_at(source.name, key_line, join(path, key) + " is given twice");
       entries.emplace_back(key, convert(entry.second, source, join(path, key), key_line, depth + 1));
     }
@@ -111,13 +107,20 @@ ConfigNode convert(const YAML::Node& node, Source& source, const std::string& pa
 
 ConfigNode parse_text(std::string_view text, Source& source) {
   if (const int line = line_that_is_not_utf8(text)) fail_at(source.name, line, "is not UTF-8 text");
+  source.lines = yaml_lines(text);
   try {
     const auto documents = YAML::LoadAll(std::string(text));
     if (documents.size() > 1) fail_at(source.name, 0, "holds several YAML documents, must be one");
     if (documents.empty()) return Access::make({.file = source.name, .folder = source.folder});
     return convert(documents[0], source, "", source.line(documents[0].Mark()), 0);
   } catch (const YAML::Exception& error) {
-    fail_at(source.name, source.line(error.mark), "not valid YAML: " + error.msg);
+    const int line = source.line(error.mark);
+    if (const int open = line_with_open_quote(source.lines))
+      fail_at(source.name, source.has_lines ? open : 0, std::string("not valid YAML: ") + kOpenQuote);
+    if (error.mark.line >= 0 && std::cmp_less(error.mark.line, source.lines.size()) &&
+        is_indented_with_tab(source.lines[error.mark.line]))
+      fail_at(source.name, line, "not valid YAML: the line is indented with a tab; indent with blanks");
+    fail_at(source.name, line, "not valid YAML: " + error.msg);
   }
 }
 
@@ -133,7 +136,9 @@ std::string read_text(const fs::path& file, const Asker& asker) {
   if (fs::is_directory(file, ignored)) fail_file(file, asker, "is a folder, must be a YAML file");
   std::ifstream stream(file, std::ios::binary);
   if (!stream) {
-    fail_file(file, asker, fs::exists(file, ignored) ? "cannot be read" : "no such file, must be a YAML file");
+    const std::string reason = std::strerror(errno);
+    fail_file(file, asker,
+              fs::exists(file, ignored) ? "cannot be read: " + reason : "no such file, must be a YAML file");
   }
   std::string text;
   char block[1 << 16];
@@ -144,6 +149,7 @@ std::string read_text(const fs::path& file, const Asker& asker) {
     }
   }
   if (stream.bad()) fail_file(file, asker, "cannot be read completely");
+  if (is_lfs_pointer(text)) fail_file(file, asker, kLfsPointer);
   return text;
 }
 
@@ -212,7 +218,7 @@ bool is_nan_text(std::string_view text) { return text == ".nan" || text == ".NaN
 bool reads_as_plain_string(const std::string& text) {
   if (text.empty() || text == "~" || text == "null" || text == "Null" || text == "NULL") return false;
   if (text.front() == ' ' || text.back() == ' ' || text.front() == '-' || text.front() == '?' ||
-      text.starts_with("...")) {
+      text.starts_with("...") || text == "<<") {
     return false;
   }
   return std::none_of(text.begin(), text.end(), [](char c) {
@@ -426,7 +432,9 @@ std::size_t ConfigNode::size() const { return is_sequence() ? data_->items.size(
 
 ConfigNode ConfigNode::operator[](std::size_t i) const {
   if (!is_sequence()) must_be(*this, "a list");
-  if (i >= data_->items.size()) fail("has " + std::to_string(size()) + " items, wanted item " + std::to_string(i));
+  if (i >= data_->items.size()) {
+    fail("has " + std::to_string(size()) + " items, but item " + std::to_string(i) + " (counted from 0) was asked for");
+  }
   return data_->items[i];
 }
 
@@ -442,7 +450,11 @@ std::int64_t ConfigNode::as_int() const {
   if (text.starts_with('+') && !text.starts_with("+-")) text.remove_prefix(1);
   std::int64_t value = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size()) must_be(*this, "a whole number");
+  if (error != std::errc() || end != text.data() + text.size()) {
+    const auto number = number_of(data_->text);
+    if (!number || std::floor(*number) != *number || std::abs(*number) > 9e15) must_be(*this, "a whole number");
+    must_be(*this, "a whole number in digits: " + std::to_string(static_cast<std::int64_t>(*number)));
+  }
   return value;
 }
 
@@ -477,7 +489,7 @@ ConfigNode ConfigNode::with(std::string_view dotted_path, const ConfigNode& valu
     std::size_t i = 0;
     const auto [end, error] = std::from_chars(key.data(), key.data() + key.size(), i);
     if (error != std::errc() || end != key.data() + key.size() || i >= copy.items.size()) {
-      fail("has " + std::to_string(size()) + " items, counted from 0, and none is '" + key + "'");
+      fail("has " + std::to_string(size()) + " items, so '" + key + "' must be the number of an item, counted from 0");
     }
     copy.items[i] = changed(copy.items[i]);
     return Access::make(std::move(copy));

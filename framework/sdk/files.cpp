@@ -1,6 +1,7 @@
 #include "sdk/files.hpp"
 
 #include <dlfcn.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <cstdint>
@@ -23,6 +24,37 @@ std::string unique_suffix() {
 
 }  // namespace
 
+std::string write_problem(int error_number) {
+  const std::string reason = std::strerror(error_number);
+  switch (error_number) {
+    case 0:
+      return "the reason is not known";
+    case ENOSPC:
+      return reason + "; make room and run the command again";
+    case EDQUOT:
+      return reason + "; make room in your quota and run the command again";
+    case EROFS:
+    case EACCES:
+    case EPERM:
+      return reason + "; name another place";
+    default:
+      return reason;
+  }
+}
+
+void make_writable_folder(const std::filesystem::path& folder) {
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (!std::filesystem::is_directory(folder)) {
+    throw ConfigError(folder.string() +
+                      ": the folder cannot be made: " + write_problem(error ? error.value() : ENOTDIR));
+  }
+  if (::access(folder.c_str(), W_OK | X_OK) != 0)
+    throw ConfigError(folder.string() + ": no file can be written in this folder: " + write_problem(errno));
+}
+
+bool is_lfs_pointer(std::string_view beginning) { return beginning.starts_with("version https://git-lfs.github.com/"); }
+
 WholeFile::WholeFile(std::filesystem::path file)
     : file_(std::move(file)), temporary_(file_.string() + unique_suffix()) {}
 
@@ -34,7 +66,7 @@ WholeFile::~WholeFile() {
 void WholeFile::commit() {
   std::error_code error;
   std::filesystem::rename(temporary_, file_, error);
-  if (error) fail(error.message());
+  if (error) fail(write_problem(error.value()));
 }
 
 void WholeFile::fail(const std::string& reason) const {
@@ -54,7 +86,7 @@ void write_text(const std::filesystem::path& file, std::string_view text) {
   std::ofstream stream(whole.temporary(), std::ios::binary);
   stream.write(text.data(), static_cast<std::streamsize>(text.size()));
   stream.close();
-  if (!stream) whole.fail(errno != 0 ? std::strerror(errno) : "the stream failed");
+  if (!stream) whole.fail(write_problem(errno));
   whole.commit();
 }
 

@@ -7,6 +7,19 @@
 
 namespace weft {
 
+/// The reason of a failed write for people, from errno: what is wrong and, where there is one, the remedy.
+WEFT_API std::string write_problem(int error_number);
+
+/// Makes the folder if needed and checks that files can be written in it, so that work begins only if its results can be
+/// kept. @throws ConfigError naming the folder, the reason and the remedy.
+WEFT_API void make_writable_folder(const std::filesystem::path& folder);
+
+/// Whether a file that begins like this is a pointer of Git LFS in the place of the file itself.
+WEFT_API bool is_lfs_pointer(std::string_view beginning);
+/// What to tell about such a file, after its name.
+inline constexpr const char* kLfsPointer =
+    "is a Git LFS pointer, not the file itself; run `git lfs pull` in its repository";
+
 /// A file that appears whole or not at all. It is written under a temporary name in the same folder, and commit()
 /// renames it. Without commit() nothing is left. Temporary names are unique: several programs may write one file, and
 /// the last one to commit wins.
@@ -20,7 +33,7 @@ class WEFT_API WholeFile {
   const std::filesystem::path& temporary() const { return temporary_; }
   /// Call it after the temporary file is closed. @throws Error naming the file and the reason.
   void commit();
-  /// @throws Error "<file>: cannot be written: <reason>".
+  /// @throws Error "<file>: cannot be written: <reason>". The temporary file goes with this object.
   [[noreturn]] void fail(const std::string& reason) const;
 
  private:

@@ -4,15 +4,15 @@
 #include <string>
 #include <string_view>
 
+#include "weft/hash.hpp"
+
 namespace weft {
 
-/// 64-bit FNV-1a over bytes. @param hash of the bytes before them.
-inline std::uint64_t fnv1a(const void* data, std::size_t size, std::uint64_t hash = 0xcbf29ce484222325ull) {
-  const auto* bytes = static_cast<const unsigned char*>(data);
-  for (std::size_t i = 0; i < size; ++i) hash = (hash ^ bytes[i]) * 0x100000001b3ull;
-  return hash;
+inline std::uint64_t fnv1a(std::string_view text) {
+  Fnv1a hash;
+  hash.add(text.data(), text.size());
+  return hash.value();
 }
-inline std::uint64_t fnv1a(std::string_view text) { return fnv1a(text.data(), text.size()); }
 
 /// 16 hexadecimal digits.
 inline std::string hex_digits(std::uint64_t value) {
@@ -25,7 +25,11 @@ inline std::string hex_digits(std::uint64_t value) {
 /// 64-bit FNV-1a over bytes, with a final mix. Detects damage and tells configurations apart. Does not resist forgery.
 class Fingerprint {
  public:
-  void add(const void* data, std::size_t size) { hash_ = fnv1a(data, size, hash_); }
+  void add(const void* data, std::size_t size) {
+    Fnv1a hash(hash_);
+    hash.add(data, size);
+    hash_ = hash.value();
+  }
   void add(std::string_view text) {
     const std::uint64_t size = text.size();
     add(&size, sizeof(size));
@@ -55,7 +59,7 @@ class Fingerprint {
   std::string hex() const { return hex_digits(value()); }
 
  private:
-  std::uint64_t hash_ = 0xcbf29ce484222325ull;
+  std::uint64_t hash_ = Fnv1a().value();
 };
 
 }  // namespace weft

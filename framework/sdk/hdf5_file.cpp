@@ -1,11 +1,17 @@
 #include "weft/hdf5_file.hpp"
 
 #include <hdf5.h>
-#include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
+#include <charconv>
 #include <cmath>
+#include <cstring>
+#include <fstream>
 #include <mutex>
+#include <optional>
+
+#include "sdk/files.hpp"
 
 namespace weft {
 namespace {
@@ -38,18 +44,67 @@ class Handle {
 
 constexpr hsize_t kChunkBytes = 1 << 20;
 
+/// Why the last call into the library failed: the descriptions of its error stack. Any other call clears the stack.
+std::string last_failure() {
+  std::string text;
+  const auto add = [](unsigned, const H5E_error2_t* entry, void* data) -> herr_t {
+    if (entry->desc != nullptr) *static_cast<std::string*>(data) += std::string(entry->desc) + "\n";
+    return 0;
+  };
+  H5Ewalk2(H5E_DEFAULT, H5E_WALK_UPWARD, add, &text);
+  return text;
+}
+
+/// The number behind `name` in a text of the library, such as "errno = 28".
+std::optional<long long> number_after(const std::string& text, const std::string& name) {
+  const auto at = text.find(name);
+  if (at == std::string::npos) return std::nullopt;
+  long long value = 0;
+  const char* begin = text.data() + at + name.size();
+  if (std::from_chars(begin, text.data() + text.size(), value).ec != std::errc()) return std::nullopt;
+  return value;
+}
+
+std::string write_problem_of(const std::string& failure) {
+  return write_problem(static_cast<int>(number_after(failure, "errno = ").value_or(0)));
+}
+
+/// Why a file cannot be opened, and what to do.
+std::string open_problem(const fs::path& file, const std::string& failure) {
+  std::error_code ignored;
+  if (fs::is_directory(file, ignored)) return "is a folder, must be an HDF5 file";
+  if (failure.find("unable to lock file") != std::string::npos) {
+    return "is locked: another program writes it; wait until that has ended. If the file system has no locks, set "
+           "HDF5_USE_FILE_LOCKING=FALSE";
+  }
+  errno = 0;
+  std::ifstream stream(file, std::ios::binary);
+  char block[64];
+  stream.read(block, sizeof(block));
+  if (!stream.is_open() || stream.bad()) return std::string("cannot be read: ") + std::strerror(errno);
+  const std::string_view beginning(block, stream.gcount());
+  if (is_lfs_pointer(beginning)) return kLfsPointer;
+  if (beginning.empty()) return "is empty; copy it or make it again";
+  if (failure.find("truncated file") != std::string::npos) {
+    const auto there = number_after(failure, "eof = "), stored = number_after(failure, "stored_eof = ");
+    return "was cut short" +
+           (there && stored ? ": it has " + std::to_string(*there) + " of " + std::to_string(*stored) + " bytes" : "") +
+           "; copy it or make it again";
+  }
+  if (!beginning.starts_with("\x89HDF\r\n\x1a\n")) return "is not an HDF5 file";
+  return "is damaged; copy it or make it again";
+}
+
 }  // namespace
 
 struct Hdf5File::Impl {
-  fs::path file, temporary;
+  fs::path file;
+  std::optional<WholeFile> whole;  // of a writer
   hid_t id = -1;
-  bool is_writer = false;
 
   ~Impl() {
     const Lock lock(library_mutex());
     if (id >= 0) H5Fclose(id);
-    std::error_code ignored;
-    if (is_writer && !temporary.empty()) fs::remove(temporary, ignored);
   }
   [[noreturn]] void fail(const std::string& path, const std::string& message) const {
     throw ConfigError(file.string() + ": " + path + " " + message);
@@ -114,7 +169,9 @@ struct Hdf5File::Impl {
     const Handle set(H5Dcreate2(id, path.c_str(), stored < 0 ? type : stored, space, links, options, H5P_DEFAULT),
                      H5Dclose);
     if (!set.good() || (count > 0 && H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0)) {
-      throw Error(file.string() + ": " + path + " cannot be written (disk full, or written twice)");
+      const std::string failure = last_failure();
+      if (exists(path) && set < 0) throw Error(file.string() + ": " + path + " was written twice");
+      whole->fail(write_problem_of(failure));
     }
   }
 };
@@ -129,10 +186,9 @@ Hdf5File Hdf5File::create(const fs::path& file) {
   H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
   auto impl = std::make_unique<Impl>();
   impl->file = file;
-  impl->temporary = file.string() + ".tmp" + std::to_string(getpid());
-  impl->is_writer = true;
-  impl->id = H5Fcreate(impl->temporary.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
-  if (impl->id < 0) throw Error(file.string() + ": cannot be written");
+  impl->whole.emplace(file);
+  impl->id = H5Fcreate(impl->whole->temporary().c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
+  if (impl->id < 0) impl->whole->fail(write_problem_of(last_failure()));
   return Hdf5File(std::move(impl));
 }
 
@@ -144,7 +200,7 @@ Hdf5File Hdf5File::open(const fs::path& file) {
   auto impl = std::make_unique<Impl>();
   impl->file = file;
   impl->id = H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT);
-  if (impl->id < 0) throw ConfigError(file.string() + ": is not an HDF5 file, or is damaged");
+  if (impl->id < 0) throw ConfigError(file.string() + ": " + open_problem(file, last_failure()));
   return Hdf5File(std::move(impl));
 }
 
@@ -180,19 +236,25 @@ void Hdf5File::write(const std::string& path, const std::string& text) {
   H5Pset_obj_track_times(options, false);
   const Handle set(H5Dcreate2(impl_->id, path.c_str(), type, space, links, options, H5P_DEFAULT), H5Dclose);
   if (!set.good() || H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.empty() ? "\0" : text.data()) < 0) {
-    throw Error(impl_->file.string() + ": " + path + " cannot be written");
+    const std::string failure = last_failure();
+    if (impl_->exists(path) && set < 0) throw Error(impl_->file.string() + ": " + path + " was written twice");
+    impl_->whole->fail(write_problem_of(failure));
   }
 }
 
 void Hdf5File::commit() {
   const Lock lock(library_mutex());
-  if (!impl_->is_writer || impl_->id < 0) throw Error(impl_->file.string() + ": nothing to commit");
-  const bool good = H5Fflush(impl_->id, H5F_SCOPE_GLOBAL) >= 0;
-  const bool closed = H5Fclose(impl_->id) >= 0;
+  if (!impl_->whole || impl_->id < 0) throw Error(impl_->file.string() + ": nothing to commit");
+  std::string failure;
+  bool good = H5Fflush(impl_->id, H5F_SCOPE_GLOBAL) >= 0;
+  if (!good) failure = last_failure();
+  if (H5Fclose(impl_->id) < 0) {
+    if (good) failure = last_failure();
+    good = false;
+  }
   impl_->id = -1;
-  if (!good || !closed) throw Error(impl_->file.string() + ": cannot be written (disk full?)");
-  fs::rename(impl_->temporary, impl_->file);
-  impl_->temporary.clear();
+  if (!good) impl_->whole->fail(write_problem_of(failure));
+  impl_->whole->commit();
 }
 
 bool Hdf5File::has(const std::string& path) const {

@@ -7,6 +7,8 @@
 
 #include "sdk/obj_file.hpp"
 #include "weft/error.hpp"
+#include "sdk/files.hpp"
+#include "weft/garment.hpp"
 
 namespace weft {
 namespace {
@@ -106,17 +108,7 @@ void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact) 
     }
     out += '\n';
   }
-  // Write a temporary file and rename it, so that a killed run leaves no partial mesh.
-  const std::filesystem::path temporary = path.string() + ".part";
-  {
-    std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
-    file.write(out.data(), static_cast<std::streamsize>(out.size()));
-    file.flush();
-    if (!file) throw Error(path.string() + ": cannot be written");
-  }
-  std::error_code error;
-  std::filesystem::rename(temporary, path, error);
-  if (error) throw Error(path.string() + ": cannot be written: " + error.message());
+  write_text(path, out);
 }
 
 }  // namespace weft

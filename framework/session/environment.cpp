@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "session/process_environment.hpp"
+#include "simulation/simulator_warnings.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -15,8 +16,14 @@ std::vector<float> to_frame(const Positions& positions) {
 SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator, const Task& task,
                                            const MaterialProperties& material, const ObservationParams& params,
                                            std::uint64_t seed)
-    : simulator_(std::move(simulator)), material_(material), settle_(task.settle), params_(params), seed_(seed) {
-  simulator_->reset(task.garment, task.material.at(material), task.scene);
+    : simulator_(std::move(simulator)),
+      material_(material),
+      fabric_(task.material.at(material)),
+      scene_(task.scene),
+      settle_(task.settle),
+      params_(params),
+      seed_(seed) {
+  simulator_->reset(task.garment, fabric_, scene_);
   simulator_->grasp(task.manipulation.grasp_vertices);
   record();
 }
@@ -51,8 +58,7 @@ SettleResult SimulatorEnvironment::release() {
 }
 
 std::vector<std::string> SimulatorEnvironment::warnings() const {
-  const std::string warning = simulator_->diagnostics().warning;
-  return warning.empty() ? std::vector<std::string>() : std::vector<std::string>{warning};
+  return simulator_warnings(*simulator_, fabric_, scene_);
 }
 
 std::unique_ptr<Environment> make_environment(const EnvironmentParams& params, const ConfigNode& origin,

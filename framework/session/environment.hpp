@@ -60,6 +60,8 @@ class SimulatorEnvironment final : public Environment {
   void record();
   std::shared_ptr<Simulator> simulator_;
   MaterialProperties material_;
+  Fabric fabric_;
+  Scene scene_;
   SettleCriterion settle_;
   ObservationParams params_;
   std::uint64_t seed_ = 0, observations_ = 0;

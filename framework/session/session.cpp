@@ -143,6 +143,10 @@ std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& t
   return predictor;
 }
 
+void rehearse_session(const SessionParams& params, const ConfigNode& origin, Host& host) {
+  make_setup(params, origin, host);
+}
+
 SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
                           const SessionProgress& progress) {
   const Task& task = setup.task;

@@ -60,7 +60,8 @@ struct SessionParams {
   void visit(Visitor& v) {
     v("description", description, "A description of the task for people.", Decides::nothing);
     v("seed", seed, range(0, 9e18), "Seed of all random numbers.", Decides::examples);
-    v("threads", threads, range(0, 1024), "Worker threads; 0: all cores.", Decides::nothing);
+    v("threads", threads, range(0, 1024), "Worker threads; 0: as many as the processors that weft may use.",
+      Decides::nothing);
     v("plugin_path", plugin_path, "Folders searched for plugins first.", Decides::nothing);
     v.part(task, Decides::examples);
     v("predictor", predictor, PluginSlot{"predictor"}, "Predictor plugin for plans and estimates.");
@@ -100,6 +101,10 @@ std::optional<MaterialProperties> true_material_of(const SessionParams& params);
 /// @throws ConfigError for knowledge `true` or `drawn` if the true material is unknown.
 MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin,
                                   const std::optional<MaterialProperties>& true_material);
+
+/// Makes every part of a session of this config and drops it, so that errors show before any work.
+/// @throws what making the parts throws.
+void rehearse_session(const SessionParams& params, const ConfigNode& origin, Host& host);
 
 /// Makes a predictor and binds it to the task.
 /// @throws ConfigError, PluginError. Errors in a model file are reported at the config key that names the file.

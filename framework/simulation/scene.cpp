@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "meshes/intersections.hpp"
+#include "simulation/simulator_warnings.hpp"
 
 namespace weft {
 namespace {
@@ -192,21 +193,10 @@ ConfigNode vertices_node(const std::vector<Index>& vertices) {
   return ConfigNode::sequence(std::move(items));
 }
 
-void add_warning(SceneResult& result, const std::string& text) {
-  if (!text.empty() && std::find(result.warnings.begin(), result.warnings.end(), text) == result.warnings.end()) {
-    result.warnings.push_back(text);
-  }
-}
-
-/// Adds a warning for each ability that the scene needs and the simulator does not declare.
-/// @throws ConfigError if the simulator cannot run the scene at all.
-void check_capabilities(const SceneRun& run, const SimulatorCapabilities& capabilities, SceneResult& result) {
-  if (!run.scene.pins.empty() && !capabilities.pins) {
-    throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
-  }
-  if (run.scene.ground_height && run.fabric.friction > 0.0 && !capabilities.ground_friction) {
-    add_warning(result,
-                "the fabric has ground friction, which this simulator does not declare (capability ground_friction)");
+void add_warnings(SceneResult& result, std::vector<std::string> warnings) {
+  for (auto& text : warnings) {
+    if (std::find(result.warnings.begin(), result.warnings.end(), text) == result.warnings.end())
+      result.warnings.push_back(std::move(text));
   }
 }
 
@@ -230,7 +220,7 @@ class Hands {
       if (grasp.release && frame_at(*grasp.release) <= frame) continue;
       Hold hold{&grasp, Positions(static_cast<Index>(grasp.vertices.size()), 3)};
       for (std::size_t i = 0; i < grasp.vertices.size(); ++i) {
-        hold.origin.row(static_cast<Index>(i)) = simulator.positions().row(grasp.vertices[i]);
+        hold.origin.row(i) = simulator.positions().row(grasp.vertices[i]);
       }
       simulator.grasp(grasp.vertices);
       holds_.push_back(std::move(hold));
@@ -246,7 +236,7 @@ class Hands {
       for (std::size_t i = 0; i < hold.grasp->vertices.size(); ++i) {
         const auto at = std::find(held.begin(), held.end(), hold.grasp->vertices[i]);
         if (at == held.end()) throw Error("the simulator lost vertex " + std::to_string(hold.grasp->vertices[i]));
-        targets.row(at - held.begin()) = hold.origin.row(static_cast<Index>(i)) + offset.transpose();
+        targets.row(at - held.begin()) = hold.origin.row(i) + offset.transpose();
       }
     }
     return targets;
@@ -364,7 +354,8 @@ ConfigNode write_scene(const SceneRun& run, const std::string& garment_file) {
 SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer) {
   const auto simulator = host.create<Simulator>(run.simulator);
   SceneResult result;
-  check_capabilities(run, simulator->capabilities(), result);
+  if (!run.scene.pins.empty() && !simulator->capabilities().pins)
+    throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
   simulator->reset(run.garment, run.fabric, run.scene);
   const auto look = [&](Index frame) {
     const SimulatorDiagnostics diagnostics = simulator->diagnostics();
@@ -372,7 +363,7 @@ SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& obse
     result.final_strain = diagnostics.max_strain;
     result.max_strain = std::max(result.max_strain, diagnostics.max_strain);
     result.max_grasp_strain = std::max(result.max_grasp_strain, diagnostics.max_grasp_strain);
-    add_warning(result, diagnostics.warning);
+    add_warnings(result, simulator_warnings(*simulator, run.fabric, run.scene));
     if (observer) observer(*simulator, frame);
   };
   look(0);

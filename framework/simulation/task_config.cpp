@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "simulation/simulator_warnings.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -54,9 +55,10 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
 
 void check_simulator(const ConfigNode& slot, const Task& task, Host& host) {
   const auto simulator = host.create<Simulator>(slot);
-  simulator->reset(task.garment, task.material.at(MaterialProperties::Constant(0.5)), task.scene);
-  const std::string warning = simulator->diagnostics().warning;
-  if (!warning.empty()) host.log(LogLevel::warning, warning + " (fabric in the middle of its range)");
+  const Fabric fabric = task.material.at(MaterialProperties::Constant(0.5));
+  simulator->reset(task.garment, fabric, task.scene);
+  for (const auto& warning : simulator_warnings(*simulator, fabric, task.scene))
+    host.log(LogLevel::warning, warning + " (fabric in the middle of its range)");
 }
 
 }  // namespace weft

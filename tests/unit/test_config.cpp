@@ -184,12 +184,75 @@ TEST(Config, RefusesARepeatedKey) {
 
 TEST(Config, RefusesBrokenYamlWithItsLine) {
   EXPECT_THAT(parse_refusal("a: 1\nb: [1, 2\nc: 3\n"), StartsWith("fold.yaml:"));
-  EXPECT_THAT(parse_refusal("a: 1\n\tb: 2\n"), AllOf(StartsWith("fold.yaml:"), HasSubstr("not valid YAML")));
+  EXPECT_EQ(parse_refusal("a: 1\n\tb: 2\n"),
+            "fold.yaml:2: not valid YAML: the line is indented with a tab; indent with blanks");
   EXPECT_THAT(parse_refusal("a: *b\n"), AllOf(StartsWith("fold.yaml:1"), HasSubstr("not valid YAML")));
   EXPECT_THAT(parse_refusal("a: 1\n---\nb: 2\n"), HasSubstr("several YAML documents"));
   EXPECT_THAT(parse_refusal("? [a, b]\n: 1\n"), HasSubstr("a key must be a plain text"));
   EXPECT_EQ(parse_refusal("a: 1\nb: \"\xff\"\n"), "fold.yaml:2: is not UTF-8 text");
   EXPECT_EQ(parse_refusal("a: 1\nb: !include x.yaml\n"), "fold.yaml:2: b has the tag !include, must have none");
+}
+
+TEST(Config, RefusesAQuoteThatStaysOpenOnItsLine) {
+  constexpr const char* kOpen =
+      "a quote begins on this line and does not end on it; close it, or write a long text as "
+      "a block (`key: |`)";
+  // Without the check the first two are read: the quoted text swallows the keys after it.
+  EXPECT_EQ(parse_refusal("a: 1\ndescription: \"my towel\nseed: 77\n"), std::string("fold.yaml:2: ") + kOpen);
+  EXPECT_EQ(parse_refusal("a: 1\ndescription: 'my towel\nseed: 77\n"), std::string("fold.yaml:2: ") + kOpen);
+  EXPECT_EQ(parse_refusal("a: 'two\n  lines'\n"), std::string("fold.yaml:1: ") + kOpen);
+  EXPECT_EQ(parse_refusal("a: [1,\n  \"two \\\n  lines\"]\n"), std::string("fold.yaml:2: ") + kOpen);
+  EXPECT_EQ(parse_refusal("a: 1\n'b\n  c': 2\n"), std::string("fold.yaml:2: not valid YAML: ") + kOpen);
+  EXPECT_EQ(parse_refusal("a: &x 'two\n  lines'\n"), std::string("fold.yaml:1: ") + kOpen);
+  EXPECT_EQ(parse_refusal("\xef\xbb\xbf\"a\n b\": 1\n"), std::string("fold.yaml:1: not valid YAML: ") + kOpen);
+  // Here YAML itself fails, far behind the quote.
+  for (const std::string text : {"# it's\na: don't\nb: |\n  'tis\n\n  so\nc: \"x\nd: \"y\"\n",
+                                 "# it's\na: don't\nb: |\n  'tis\n\n  so\nc: [1, {k: \"x}]\nd: \"y\"\n",
+                                 "# it's\na: don't\nb: >\n  'tis\n\n  so\n- \"x\nd: \"y\"\n"}) {
+    EXPECT_EQ(parse_refusal(text), std::string("fold.yaml:7: not valid YAML: ") + kOpen) << text;
+  }
+  EXPECT_THAT(parse_refusal("a: 'it''s'\nb: \"\\\"\"  # it's\nc: [1\n"), HasSubstr("fold.yaml:"));
+  EXPECT_THAT(parse_refusal("a: 'it''s'\nb: \"\\\"\"  # it's\nc: [1\n"), testing::Not(HasSubstr("quote")));
+}
+
+TEST(Config, ReadsQuotesThatAreClosed) {
+  const ConfigNode config = parse(
+      "a: 'it''s'\nb: \"x \\\" y\\\\\"\nc: don't\nd: |\n  'tis\n  \"so\n'e': [\"1\", 'f: g']\nh: &k \"m\"\ni: *k\n"
+      "j: \"line\\nline\"\r\n");
+  EXPECT_EQ(config.at("a").as_string(), "it's");
+  EXPECT_EQ(config.at("b").as_string(), "x \" y\\");
+  EXPECT_EQ(config.at("c").as_string(), "don't");
+  EXPECT_EQ(config.at("d").as_string(), "'tis\n\"so\n");
+  EXPECT_EQ(config.at("e")[1].as_string(), "f: g");
+  EXPECT_EQ(config.at("i").as_string(), "m");
+  EXPECT_EQ(config.at("j").as_string(), "line\nline");
+  EXPECT_EQ(parse(config.to_yaml()).to_yaml(), config.to_yaml());
+}
+
+TEST(Config, RefusesTabsAndMergeKeysWithARemedy) {
+  EXPECT_EQ(parse_refusal("a:\n\tb: 1\n"),
+            "fold.yaml:2: not valid YAML: the line is indented with a tab; indent with blanks");
+  EXPECT_EQ(parse("a:\t1\n").at("a").as_int(), 1);
+  EXPECT_EQ(parse_refusal("a: &a {x: 1}\nb:\n  <<: *a\n"),
+            "fold.yaml:3: b.<<: merge keys are not supported; write the keys out, or take them from a file with "
+            "`extends: FILE`");
+  EXPECT_EQ(parse("'<<': 1\n").at("<<").as_int(), 1);
+}
+
+TEST(Config, AWholeNumberIsWrittenInDigits) {
+  const ConfigNode config = parse("a: 1e3\nb: 40.0\nc: 1.5\nd: -2e2\ne: 1e300\n");
+  const auto refused = [&](const char* key) { return refusal([&] { config.at(key).as_int(); }); };
+  EXPECT_EQ(refused("a"), "fold.yaml:1: a = 1e3, must be a whole number in digits: 1000");
+  EXPECT_EQ(refused("b"), "fold.yaml:2: b = 40.0, must be a whole number in digits: 40");
+  EXPECT_EQ(refused("c"), "fold.yaml:3: c = 1.5, must be a whole number");
+  EXPECT_EQ(refused("d"), "fold.yaml:4: d = -2e2, must be a whole number in digits: -200");
+  EXPECT_EQ(refused("e"), "fold.yaml:5: e = 1e300, must be a whole number");
+}
+
+TEST(Config, RefusesAPointerOfGitLfs) {
+  const Folder folder;
+  const auto file = folder.write("a.yaml", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n");
+  EXPECT_THAT(refusal([&] { ConfigNode::load(file); }), HasSubstr("a.yaml: is a Git LFS pointer, not the file itself"));
 }
 
 TEST(Config, RefusesAliasesThatMultiply) {

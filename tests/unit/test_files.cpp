@@ -1,5 +1,6 @@
 #include "sdk/files.hpp"
 
+#include <cerrno>
 #include <fstream>
 
 #include "unit/test_support.hpp"
@@ -62,6 +63,33 @@ TEST(WholeFile, SaysWhichFileCannotBeWrittenAndWhy) {
   EXPECT_THAT(test::message_of<Error>([&] { write_text(folder / "taken", "x"); }),
               HasSubstr("taken: cannot be written: Is a directory"));
   EXPECT_EQ(entries(folder.path()), 1u);  // not the temporary file either
+}
+
+TEST(WriteProblem, NamesTheRemedyWhereThereIsOne) {
+  EXPECT_EQ(write_problem(ENOSPC), "No space left on device; make room and run the command again");
+  EXPECT_THAT(write_problem(EDQUOT), HasSubstr("make room in your quota"));
+  EXPECT_EQ(write_problem(EROFS), "Read-only file system; name another place");
+  EXPECT_EQ(write_problem(ENOENT), "No such file or directory");
+}
+
+TEST(MakeWritableFolder, MakesItOrSaysWhyNot) {
+  const test::Folder folder;
+  make_writable_folder(folder / "a/b");
+  make_writable_folder(folder / "a/b");
+  EXPECT_TRUE(fs::is_directory(folder / "a/b"));
+  const auto file = folder.write("file", "x");
+  EXPECT_EQ(test::message_of<ConfigError>([&] { make_writable_folder(file); }),
+            file.string() + ": the folder cannot be made: Not a directory");
+  EXPECT_THAT(test::message_of<ConfigError>([&] { make_writable_folder("/proc/self/weft"); }),
+              HasSubstr("/proc/self/weft: the folder cannot be made: "));
+  EXPECT_THAT(test::message_of<ConfigError>([&] { make_writable_folder("/proc/self"); }),
+              HasSubstr("/proc/self: no file can be written in this folder: "));
+}
+
+TEST(LfsPointer, IsToldByItsFirstLine) {
+  EXPECT_TRUE(is_lfs_pointer("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"));
+  EXPECT_FALSE(is_lfs_pointer("version: 1\n"));
+  EXPECT_FALSE(is_lfs_pointer(""));
 }
 
 }  // namespace

@@ -73,6 +73,33 @@ TEST(Registry, ResolvesEverySlotThatAConfigDeclares) {
               StartsWith("fold.yaml:3: inner.mover.plugin: no trajectory plugin is called 'wraper'"));
 }
 
+/// A default that this build lacks.
+struct Lacking {
+  ConfigNode other = parse("{plugin: not_built}");
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("other", other, PluginSlot{"trajectory"}, "What else.");
+  }
+};
+
+TEST(Registry, ADefaultThatThisBuildLacksIsLeftAsItIs) {
+  const auto plugins = registry({"second"});
+  const auto infos = describe_params<Lacking>();
+  const auto resolved = [&](const std::string& text) {
+    Lacking params;
+    return plugins->resolve_slots(read_params(parse(text), params), infos).to_yaml();
+  };
+  EXPECT_EQ(resolved("{}"), "other:\n  plugin: not_built\n");
+  EXPECT_EQ(resolved("other: not_built"), "other: not_built\n");
+  EXPECT_EQ(resolved("other: toy"), "other:\n  plugin: toy\n  params:\n    speed: 1\n");
+  EXPECT_TRUE(plugins->files(parse("other: not_built"), infos).empty());
+  EXPECT_THAT(message_of<PluginError>([&] { resolved("other: built_not"); }), HasSubstr("'built_not'"));
+  // Whoever creates it hears of it.
+  const auto host = make_host(plugins, {});
+  EXPECT_THAT(message_of<PluginError>([&] { host->create<Trajectory>(parse("not_built")); }),
+              HasSubstr("no trajectory plugin is called 'not_built'"));
+}
+
 TEST(Registry, FindsTheFilesThatAConfigNames) {
   const auto plugins = registry({"second"});
   const ConfigNode config = parse(
@@ -246,10 +273,16 @@ TEST(Registry, CreatesWithParametersAndPassesRefusalsOn) {
             "toy: speed = 9, which toy refuses itself");
 }
 
-TEST(Registry, UsedNamesWhatWasResolved) {
+TEST(Registry, UsedNamesWhatWasCreated) {
   const auto plugins = registry({"second"});
   EXPECT_TRUE(plugins->used().empty());
   plugins->resolve("trajectory", parse("wrapper"));
+  EXPECT_TRUE(plugins->used().empty());
+  const auto host = make_host(plugins, {.threads = 1});
+  EXPECT_THAT(message_of<ConfigError>([&] { host->create<Trajectory>(parse("{plugin: toy, params: {speed: 9}}")); }),
+              HasSubstr("refuses"));
+  EXPECT_TRUE(plugins->used().empty());
+  host->create<Trajectory>(parse("wrapper"));
   std::vector<std::string> used;
   for (const auto& entry : plugins->used()) used.push_back(entry.kind + "/" + entry.name + " " + entry.version);
   EXPECT_THAT(used, ElementsAre("trajectory/toy 2.0.0", "trajectory/wrapper 1.0.0"));

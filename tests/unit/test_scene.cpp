@@ -1,6 +1,9 @@
 #include <nlohmann/json.hpp>
 
+#include "serial_host.hpp"
+#include "session/environment.hpp"
 #include "simulation/scene.hpp"
+#include "simulation/task_config.hpp"
 #include "test_support.hpp"
 
 namespace weft {
@@ -23,7 +26,8 @@ class FakeSimulator final : public Simulator {
   SimulatorCapabilities capabilities() const override {
     SimulatorCapabilities capabilities;
     capabilities.pins = pins_allowed;
-    capabilities.orthotropic = capabilities.ground_friction = true;
+    capabilities.orthotropic = true;
+    capabilities.ground_friction = has_friction;
     return capabilities;
   }
   void reset(std::shared_ptr<const Garment> garment, const Fabric&, const Scene& scene) override {
@@ -40,7 +44,7 @@ class FakeSimulator final : public Simulator {
   std::vector<Index> grasped() const override { return held_; }
   void step(const Positions& targets) override {
     require_shape("targets", targets.rows(), static_cast<Index>(held_.size()));
-    for (std::size_t i = 0; i < held_.size(); ++i) positions_.row(held_[i]) = targets.row(static_cast<Index>(i));
+    for (std::size_t i = 0; i < held_.size(); ++i) positions_.row(held_[i]) = targets.row(i);
     ++frame_;
   }
   void release(std::span<const Index> vertices) override {
@@ -56,6 +60,7 @@ class FakeSimulator final : public Simulator {
 
   std::vector<std::string> calls;
   bool pins_allowed = true;
+  bool has_friction = true;
 
  private:
   Positions positions_, velocities_;
@@ -63,18 +68,14 @@ class FakeSimulator final : public Simulator {
   Index frame_ = 0;
 };
 
-class FakeHost final : public Host {
+class FakeHost final : public test::SerialHost {
  public:
-  int threads() const override { return 1; }
-  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
-    for (std::int64_t i = 0; i < count; ++i) body(i);
-  }
   bool cancelled() const override { return stop; }
-  void log(LogLevel, const std::string&) override {}
-  std::uint64_t seed() const override { return 0; }
+  void log(LogLevel, const std::string& message) override { messages.push_back(message); }
 
   std::shared_ptr<FakeSimulator> simulator = std::make_shared<FakeSimulator>();
   bool stop = false;
+  std::vector<std::string> messages;
 
  protected:
   std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override {
@@ -219,6 +220,32 @@ TEST_F(SceneFile, RefusesPinsThatTheSimulatorIgnores) {
   host.simulator->pins_allowed = false;
   EXPECT_THAT(message_of<ConfigError>([&] { run_scene(run, host); }), HasSubstr("capability pins"));
   EXPECT_TRUE(host.simulator->calls.empty());
+}
+
+TEST_F(SceneFile, EveryCommandWarnsOfGroundFrictionThatTheSimulatorLacks) {
+  FakeHost host;
+  host.simulator->has_friction = false;
+  SceneRun run = read(kScene);
+  Task task;
+  task.garment = run.garment;
+  task.material = read_material_space(ConfigNode::quoted(WEFT_SOURCE_DIR "/configs/fabrics/basic.yaml"));
+  const auto of_simulate = [&] { return run_scene(run, host).warnings; };
+  const auto of_run = [&] {
+    return SimulatorEnvironment(host.simulator, task, MaterialProperties::Constant(0.5)).warnings();
+  };
+  const auto of_other_commands = [&] {
+    host.messages.clear();
+    check_simulator(ConfigNode::quoted("fake"), task, host);
+    return host.messages;
+  };
+  const auto lacks = HasSubstr("the fabric has ground friction, which this simulator does not declare");
+  EXPECT_THAT(of_simulate(), ElementsAre(lacks, "stretched"));
+  EXPECT_THAT(of_run(), ElementsAre(lacks, "stretched"));
+  EXPECT_THAT(of_other_commands(), ElementsAre(lacks, HasSubstr("stretched")));
+  run.scene.ground_height = task.scene.ground_height = std::nullopt;
+  EXPECT_THAT(of_simulate(), ElementsAre("stretched"));
+  EXPECT_THAT(of_run(), ElementsAre("stretched"));
+  EXPECT_THAT(of_other_commands(), ElementsAre(HasSubstr("stretched")));
 }
 
 TEST_F(SceneFile, StopsWhenCancelled) {

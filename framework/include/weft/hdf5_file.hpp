@@ -16,7 +16,7 @@ class WEFT_API Hdf5File {
  public:
   /// Writes a temporary file beside `file`; commit() renames it. So `file` is whole or absent.
   static Hdf5File create(const std::filesystem::path& file);
-  /// @throws ConfigError if it is not an HDF5 file or is damaged.
+  /// @throws ConfigError if the file is missing, locked, cut short, damaged or not an HDF5 file; it says which.
   static Hdf5File open(const std::filesystem::path& file);
   Hdf5File(Hdf5File&&) noexcept;
   Hdf5File& operator=(Hdf5File&&) noexcept;
@@ -39,6 +39,7 @@ class WEFT_API Hdf5File {
       write(path, {copy.rows(), copy.cols()}, copy.data());
     }
   }
+  /// @throws Error naming the file and the reason, such as a full disk. Then nothing is left.
   void commit();
 
   bool has(const std::string& path) const;
