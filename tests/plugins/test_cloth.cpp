@@ -687,6 +687,35 @@ TEST(Cloth, FoldsSettlesAndNeverCrossesItself) {
   }
 }
 
+/// Columns from 0.4 to 175 mm apart: a coarse mesh whose few small faces would ask for more substeps than are allowed.
+TEST(Cloth, FewSmallFacesInACoarseMeshRun) {
+  std::vector<double> column{0.0, 0.0004};
+  while (column.back() - column[column.size() - 2] < 0.175)
+    column.push_back(column.back() + std::min(0.175, 1.8 * (column.back() - column[column.size() - 2])));
+  Garment g = sheet(static_cast<Index>(column.size()), 5, 0.1);
+  for (Index i = 0; i < g.vertex_count(); ++i)
+    g.rest(i, 0) = g.positions(i, 0) = column[static_cast<std::size_t>(i) % column.size()];
+  Fabric f = fabric();
+  f.stretch_warp_n_per_m = f.stretch_weft_n_per_m = 8890.0;
+  f.stretch_shear_n_per_m = 122.5;
+  f.density_kg_per_m2 = 0.407;
+  Scene scene;
+  scene.ground_height.reset();
+  scene.pins = {0, g.vertex_count() - static_cast<Index>(column.size())};
+  const auto garment = std::make_shared<const Garment>(std::move(g));
+  Params p;
+  p.fine_inertia_length_m = 0.0;
+  Cloth explicitly(p);
+  EXPECT_THROW(explicitly.reset(garment, f, scene), ConfigError);
+  Cloth cloth((Params()));
+  cloth.reset(garment, f, scene);
+  cloth.settle({.speed = 1e-3, .hold_frames = 10, .max_frames = 600});
+  EXPECT_LT(cloth.last_substeps(), 200);
+  EXPECT_LT(cloth.diagnostics().max_speed, 0.1);
+  EXPECT_LT(cloth.diagnostics().max_strain, 0.05);
+  EXPECT_LT(cloth.positions().col(2).minCoeff(), -0.2) << "it hangs";
+}
+
 /// Cotton and denim at their real stiffness, without damping of their own: few substeps, no crossing, at rest soon.
 TEST(Cloth, FineStiffClothFoldsInFewSubstepsAndNeverCrossesItself) {
   for (const bool denim : {false, true}) {

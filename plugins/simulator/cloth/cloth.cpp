@@ -66,21 +66,12 @@ void Cloth::start() {
 
   const Index n = garment().vertex_count();
   topology_ = std::make_unique<Topology>(garment());
-  elements_ = std::make_unique<Elements>(*topology_, fabric);
   masses_.resize(n);
   for (Index i = 0; i < n; ++i) masses_[i] = fabric.density_kg_per_m2 * topology_->vertex_area[i];
-  double inertia_length = params_.inertia_length_m;
-  if (topology_->mean_edge < kFineEdge) {
-    const MembraneModuli& m = elements_->stiffest_membrane();
-    const double wave = std::sqrt(std::max(m.c11, m.c22) / fabric.density_kg_per_m2);
-    inertia_length =
-        std::max(inertia_length, params_.fine_inertia_length_m * std::clamp(wave / kFastWave, 1.0, kMostInertia));
-    elements_->damp_at_least(params_.fine_stretch_damping_s, params_.fine_bend_damping_s);
-  }
-  scaling_ = std::make_unique<MassScaling>(*topology_, elements_->stiffest_membrane(), fabric.density_kg_per_m2,
-                                           masses_, inertia_length);
-  contact_ = std::make_unique<SelfContact>(*topology_, fabric, scaling_->stages() > 1 ? kSpringScaled : kSpring);
-  choose_step();
+  choose_inertia(topology_->mean_edge < kFineEdge);
+  // A few small faces in a coarse mesh may ask for more substeps than are allowed: so it counts as fine.
+  if (kFrameSeconds / longest_step_ > static_cast<double>(params_.max_substeps)) choose_inertia(true);
+  check_substeps();
 
   state_ = State{};
   state_.x.resize(n);
@@ -99,6 +90,23 @@ void Cloth::start() {
   if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
 }
 
+/// Sets up elements, scaled inertia and contact, and chooses the substep.
+void Cloth::choose_inertia(bool fine) {
+  const Fabric& fabric = this->fabric();
+  elements_ = std::make_unique<Elements>(*topology_, fabric);
+  double length = params_.inertia_length_m;
+  if (fine) {
+    const MembraneModuli& m = elements_->stiffest_membrane();
+    const double wave = std::sqrt(std::max(m.c11, m.c22) / fabric.density_kg_per_m2);
+    length = std::max(length, params_.fine_inertia_length_m * std::clamp(wave / kFastWave, 1.0, kMostInertia));
+    elements_->damp_at_least(params_.fine_stretch_damping_s, params_.fine_bend_damping_s);
+  }
+  scaling_ = std::make_unique<MassScaling>(*topology_, elements_->stiffest_membrane(), fabric.density_kg_per_m2,
+                                           masses_, length);
+  contact_ = std::make_unique<SelfContact>(*topology_, fabric, scaling_->stages() > 1 ? kSpringScaled : kSpring);
+  choose_step();
+}
+
 /// Chooses the longest substep. Stiffness-proportional damping that would shorten it too much is reduced.
 void Cloth::choose_step() {
   const double stretch_s = elements_->stretch_damping_s(), bend_s = elements_->bend_damping_s();
@@ -111,6 +119,9 @@ void Cloth::choose_step() {
         scaling_->stages() > 1 ? std::clamp(kSinkLength / fabric().thickness_m, kSinkScaled, kSinkMost) : kSink;
     longest_step_ = std::min(longest_step_, contact_->longest_step(scene().gravity.norm(), sink));
   }
+}
+
+void Cloth::check_substeps() const {
   const double frame_substeps = kFrameSeconds / longest_step_;
   if (frame_substeps > static_cast<double>(params_.max_substeps))
     throw ConfigError("cloth: this mesh and fabric need " +

@@ -1,3 +1,4 @@
+// More than 700 lines: one algorithm in one class, whose parts share the paths, the marks and the tree.
 #include "contact_search.hpp"
 
 #include <algorithm>

@@ -31,8 +31,8 @@ struct Params {
       "Waves shorter than about four times this length get more inertia, so that finer meshes need no more substeps "
       "(selective mass scaling). Shapes at rest do not depend on it. 0: no added inertia.");
     v("fine_inertia_length_m", fine_inertia_length_m, range(0.0, 0.1, "m"),
-      "Replaces inertia_length_m on meshes with a mean edge below 12 mm, where it is larger. Membranes with waves faster "
-      "than 60 m/s have more of it, up to twice as much.");
+      "Replaces inertia_length_m, where it is larger, on meshes with a mean edge below 12 mm, and on those that would need "
+      "more than max_substeps. Membranes with waves faster than 60 m/s have more of it, up to twice as much.");
     v("fine_stretch_damping_s", fine_stretch_damping_s, range(0.0, 1.0, "s"),
       "Least stiffness-proportional damping of strain on these meshes, so that waves as short as an edge die out.");
     v("fine_bend_damping_s", fine_bend_damping_s, range(0.0, 1.0, "s"),
