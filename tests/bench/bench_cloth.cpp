@@ -1,8 +1,9 @@
-// The cloth simulator through the default fold of the T-shirt task, released and settled, at several mesh sizes; many
-// folds at once; and, where Bullet is installed, its stock position-based soft body on the same mesh and path.
+// The cloth simulator through the default fold of the T-shirt task, released and settled, at several mesh sizes; sheets
+// of three fabrics lifted and dropped, coarse and fine; many folds at once; and, where Bullet is installed, its stock position-based soft body on the same mesh and path.
 // Times are the thread's CPU time unless the name says real_time, so that other programs disturb them little.
 #include <benchmark/benchmark.h>
 
+#include <cmath>
 #include <map>
 #include <thread>
 
@@ -97,6 +98,53 @@ void fold(benchmark::State& state) {
   count_frames(state, frames, task.garment->vertex_count());
 }
 BENCHMARK(fold)->Arg(0)->Arg(22000)->Arg(10550)->Arg(5270)->Unit(benchmark::kMillisecond);
+
+/// 300 frames of a sheet of 0.6 m: two corners rise by 0.5 m and near each other within 1.5 s, hang until 3.5 s, drop.
+/// Arguments: edge length, mm; fabric.
+void sheet(benchmark::State& state) {
+  constexpr const char* kFabrics[] = {"basic", "cotton_plain", "denim"};
+  const std::string name = kFabrics[state.range(1)];
+  const ConfigNode file = ConfigNode::load(WEFT_SOURCE_DIR "/configs/fabrics/" + name + ".yaml");
+  const Fabric fabric = read_fabric(file.has("nominal") ? file.at("nominal") : file);
+  const double edge = 1e-3 * static_cast<double>(state.range(0));
+  const auto side = static_cast<Index>(std::lround(0.6 / edge)) + 1;
+  Mesh mesh;
+  mesh.source = "sheet";
+  mesh.positions.setZero(side * side, 3);
+  mesh.faces.resize(2 * (side - 1) * (side - 1), 3);
+  for (Index j = 0, f = 0; j < side; ++j)
+    for (Index i = 0; i < side; ++i) {
+      const int a = static_cast<int>(j * side + i), b = a + 1, c = a + static_cast<int>(side), d = c + 1;
+      mesh.positions.row(a) << static_cast<double>(i) * edge, static_cast<double>(j) * edge, 0.0;
+      if (i + 1 == side || j + 1 == side) continue;
+      mesh.faces.row(f++) << a, b, d;
+      mesh.faces.row(f++) << a, d, c;
+    }
+  mesh.rest = mesh.positions.leftCols(2);
+  const auto garment = std::make_shared<const Garment>(make_garment(mesh, "sheet"));
+  const auto simulator = make_simulator();
+  constexpr Index kUp = 90, kHanging = 210, kFrames = 300;
+  Index frames = 0;
+  for (auto _ : state) {
+    state.PauseTiming();
+    simulator->reset(garment, fabric, Scene());
+    simulator->grasp(std::vector<Index>{0, side - 1});
+    state.ResumeTiming();
+    Positions targets(2, 3);
+    for (Index k = 0; k < kHanging; ++k) {
+      const double part = std::min(1.0, static_cast<double>(k + 1) / static_cast<double>(kUp));
+      targets.row(0) << 0.15 * part, 0.0, fabric.thickness_m + 0.5 * part;
+      targets.row(1) << 0.6 - 0.15 * part, 0.0, fabric.thickness_m + 0.5 * part;
+      simulator->step(targets);
+    }
+    simulator->release();
+    for (Index k = kHanging; k < kFrames; ++k) simulator->step(Positions(0, 3));
+    frames += kFrames;
+  }
+  count_frames(state, frames, garment->vertex_count());
+  state.SetLabel(name);
+}
+BENCHMARK(sheet)->ArgsProduct({{20, 10, 5}, {0, 1, 2}})->Unit(benchmark::kMillisecond);
 
 /// A fold per thread, each in an object of its own. Items: folds.
 void folds_at_once(benchmark::State& state) {

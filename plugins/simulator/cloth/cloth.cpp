@@ -19,10 +19,15 @@ constexpr float kGain = 3.0f;
 // limit. Springs that are soft along the normal are soft along the layer, too: at 0.08 a layer of 1 mm moved 0.12 mm
 // before it stuck.
 constexpr double kSink = 0.08, kSinkScaled = 0.05;
+// With scaled masses a layer may sink by this much, m, even if that is more than kSinkScaled of the thickness, up to
+// kSinkMost of it. Else thin layers, which are light on fine meshes, would set the step.
+constexpr double kSinkLength = 5e-5, kSinkMost = 0.1;
 // Part of the explicit limit that the springs of contact take. With scaled masses the elements leave them more of it.
 constexpr float kSpring = 0.4f, kSpringScaled = 0.5f;
 // m; a mesh with a smaller mean edge counts as fine.
 constexpr double kFineEdge = 0.012;
+// Waves of the membrane, m/s. On fine meshes faster ones get more inertia, up to so many times fine_inertia_length_m.
+constexpr double kFastWave = 60.0, kMostInertia = 2.0;
 // A vertex below the ground (from a state that was set so) rises at this speed, m/s, without getting it as a velocity.
 constexpr double kRise = 0.05;
 
@@ -61,16 +66,12 @@ void Cloth::start() {
 
   const Index n = garment().vertex_count();
   topology_ = std::make_unique<Topology>(garment());
-  elements_ = std::make_unique<Elements>(*topology_, fabric);
   masses_.resize(n);
   for (Index i = 0; i < n; ++i) masses_[i] = fabric.density_kg_per_m2 * topology_->vertex_area[i];
-  const double inertia_length = topology_->mean_edge < kFineEdge
-                                    ? std::max(params_.inertia_length_m, params_.fine_inertia_length_m)
-                                    : params_.inertia_length_m;
-  scaling_ = std::make_unique<MassScaling>(*topology_, elements_->stiffest_membrane(), fabric.density_kg_per_m2,
-                                           masses_, inertia_length);
-  contact_ = std::make_unique<SelfContact>(*topology_, fabric, scaling_->stages() > 1 ? kSpringScaled : kSpring);
-  choose_step();
+  choose_inertia(topology_->mean_edge < kFineEdge);
+  // A few small faces in a coarse mesh may ask for more substeps than are allowed: so it counts as fine.
+  if (kFrameSeconds / longest_step_ > static_cast<double>(params_.max_substeps)) choose_inertia(true);
+  check_substeps();
 
   state_ = State{};
   state_.x.resize(n);
@@ -89,17 +90,38 @@ void Cloth::start() {
   if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
 }
 
+/// Sets up elements, scaled inertia and contact, and chooses the substep.
+void Cloth::choose_inertia(bool fine) {
+  const Fabric& fabric = this->fabric();
+  elements_ = std::make_unique<Elements>(*topology_, fabric);
+  double length = params_.inertia_length_m;
+  if (fine) {
+    const MembraneModuli& m = elements_->stiffest_membrane();
+    const double wave = std::sqrt(std::max(m.c11, m.c22) / fabric.density_kg_per_m2);
+    length = std::max(length, params_.fine_inertia_length_m * std::clamp(wave / kFastWave, 1.0, kMostInertia));
+    elements_->damp_at_least(params_.fine_stretch_damping_s, params_.fine_bend_damping_s);
+  }
+  scaling_ = std::make_unique<MassScaling>(*topology_, elements_->stiffest_membrane(), fabric.density_kg_per_m2,
+                                           masses_, length);
+  contact_ = std::make_unique<SelfContact>(*topology_, fabric, scaling_->stages() > 1 ? kSpringScaled : kSpring);
+  choose_step();
+}
+
 /// Chooses the longest substep. Stiffness-proportional damping that would shorten it too much is reduced.
 void Cloth::choose_step() {
-  const double stretch_s = fabric().damping_stretch_s, bend_s = fabric().damping_bend_s;
+  const double stretch_s = elements_->stretch_damping_s(), bend_s = elements_->bend_damping_s();
   const Spectrum spectrum = largest_frequencies(*elements_, masses_, *scaling_);
   const double part = damping_part(spectrum, stretch_s, bend_s, params_.step_safety, params_.damping_least_step);
   elements_->scale_damping(part);
   longest_step_ = stable_step(spectrum, part * stretch_s, part * bend_s, params_.step_safety);
   if (params_.self_contact) {
-    const double sink = scaling_->stages() > 1 ? kSinkScaled : kSink;
+    const double sink =
+        scaling_->stages() > 1 ? std::clamp(kSinkLength / fabric().thickness_m, kSinkScaled, kSinkMost) : kSink;
     longest_step_ = std::min(longest_step_, contact_->longest_step(scene().gravity.norm(), sink));
   }
+}
+
+void Cloth::check_substeps() const {
   const double frame_substeps = kFrameSeconds / longest_step_;
   if (frame_substeps > static_cast<double>(params_.max_substeps))
     throw ConfigError("cloth: this mesh and fabric need " +

@@ -46,7 +46,9 @@ class Cloth final : public SimulatorBase {
     float stiffening = 1.0f;  ///< largest squared stretch in the last substep
   };
 
+  void choose_inertia(bool fine);
   void choose_step();
+  void check_substeps() const;
   void load_state();
   void aim(const Positions& targets);
   void advance_block(double& done, double drag);

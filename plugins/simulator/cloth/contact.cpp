@@ -58,6 +58,8 @@ void SelfContact::clear(State& state) const {
   scratch_.soon_faces.reserve(16 * n);
   scratch_.soon_edges.reserve(32 * n);
   scratch_.fast.reserve(16 * n);
+  scratch_.visited.reserve(16 * n);
+  scratch_.changed.resize(n);
   scratch_.load.resize(n);
 }
 
@@ -280,10 +282,19 @@ void SelfContact::stop_pairs(const Double4* x, double dt, double floor, const fl
                              bool grounded) const {
   constexpr int kPasses = 30;
   const double per_dt = 1.0 / dt;
+  std::vector<std::uint32_t>&changed_at = scratch_.changed, &visited = scratch_.visited;
+  std::fill(changed_at.begin(), changed_at.end(), 1u);
+  visited.assign(scratch_.fast.size(), 0u);
+  std::uint32_t visits = 1;
   for (int pass = 0; pass < kPasses; ++pass) {
     bool changed = false;
-    for (const std::int32_t index : scratch_.fast) {
-      const Active& a = scratch_.active[index];
+    for (std::size_t k_fast = 0; k_fast < scratch_.fast.size(); ++k_fast) {
+      const Active& a = scratch_.active[scratch_.fast[k_fast]];
+      const std::uint32_t seen = visited[k_fast];
+      if (changed_at[a.v[0]] <= seen && changed_at[a.v[1]] <= seen && changed_at[a.v[2]] <= seen &&
+          changed_at[a.v[3]] <= seen)
+        continue;
+      visited[k_fast] = ++visits;
       const double nx = a.contact->normal[0], ny = a.contact->normal[1], nz = a.contact->normal[2];
       double approach = 0.0, inverse = 0.0;
       for (int k = 0; k < 4; ++k) {
@@ -299,7 +310,9 @@ void SelfContact::stop_pairs(const Double4* x, double dt, double floor, const fl
       const double wanted = std::min(0.0, (static_cast<double>(a.least) - a.gap) * per_dt);
       if (approach >= wanted - 1e-9 || inverse <= 1e-12) continue;
       const double impulse = (wanted - approach) / inverse;
+      ++visits;  // its own impulse comes after its visit
       for (int k = 0; k < 4; ++k) {
+        changed_at[a.v[k]] = visits;
         const double s = impulse * a.weight[k] * inverse_mass[a.v[k]];
         v[a.v[k]].x += s * nx;
         v[a.v[k]].y += s * ny;

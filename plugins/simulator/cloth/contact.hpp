@@ -90,12 +90,14 @@ class SelfContact {
     std::vector<float> load;
     std::vector<std::int32_t> soon_faces, soon_edges;  ///< candidates selected for the block
     std::vector<Active> active;
-    std::vector<std::int32_t> fast;  ///< active pairs that may come closer than half their distance
+    std::vector<std::int32_t> fast;               ///< active pairs that may come closer than half their distance
+    std::vector<std::uint32_t> changed, visited;  ///< [V], [fast] count of visits at the last impulse, the last visit
   };
   template <bool kEdges>
   void activate_pairs(State& state, const std::vector<std::int32_t>& soon, const Fixed4* fixed, double unit,
                       const float* moved, float dt) const;
   void set_stiffness(const float* inverse_mass, float longest) const;
+  /// Passes over the fast pairs. A pair whose vertices have not changed since it was visited is skipped.
   /// @param grounded impulses do not press vertices into the ground.
   void stop_pairs(const Double4* x, double dt, double floor, const float* inverse_mass, Double4* v,
                   bool grounded) const;

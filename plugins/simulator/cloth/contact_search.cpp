@@ -1,3 +1,4 @@
+// More than 700 lines: one algorithm in one class, whose parts share the paths, the marks and the tree.
 #include "contact_search.hpp"
 
 #include <algorithm>
@@ -23,6 +24,9 @@ constexpr double kLongest = 1.0, kRenewal = 0.05;
 // many frames. They would need a search soon.
 constexpr float kNear = 0.25f;
 constexpr double kSoon = 0.4;
+// A path is expected to last this many times as long as the present acceleration would have it. (With 1, cloth that
+// shakes is searched two times as often.)
+constexpr double kTrust = 3.0;
 // Entries of the table of remembered pairs: the upper half of a pair's key, and its place in the list. The last place
 // is never used.
 constexpr std::uint64_t kTag = 0xffffffff00000000ull, kFree = ~0ull;
@@ -94,6 +98,8 @@ class ContactSearch::Search {
 
  private:
   bool choose_strayed(double block_seconds);
+  double distance2_from_path(std::int32_t i) const;
+  double life_of(std::int32_t i, double distance2, double speed) const;
   void take_paths();
   void bound_nodes();
   void bound_leaf(PatchNode& node, Float4& sum);
@@ -102,6 +108,8 @@ class ContactSearch::Search {
   void spread_marks();
   void mark_lanes(BoxBlock& block, int corners);
   void mark_what_is_flat_no_more();
+  bool flat_around(std::int32_t patch) const;
+  bool one_sheet(std::int32_t first, std::int32_t second) const;
   void forget_strayed();
   bool recall(Candidate& pair, Contact& contact, bool edges) const;
   template <int kCorners>
@@ -129,6 +137,7 @@ class ContactSearch::Search {
   float unit_;
   F8 grown_;  ///< m, growth of the boxes around paths: two boxes meet where a pair can come within thickness
   bool all_ = true;
+  double shortest_ = 0.0;  ///< s, of a path
 };
 
 ContactSearch::ContactSearch(const Topology& topology, float thickness, float edge_thickness, std::int32_t piecewise)
@@ -139,6 +148,7 @@ ContactSearch::ContactSearch(const Topology& topology, float thickness, float ed
       piecewise_(piecewise),
       tree_(topology) {
   scratch_.sums.resize(tree_.nodes.size());
+  scratch_.least_cosine.resize(tree_.nodes.size());
   scratch_.boxed.resize(tree_.patches.size());
 }
 
@@ -152,9 +162,11 @@ void ContactSearch::clear(State& state) const {
   state.path.assign(padded(n), 0.0f);
   state.start.assign(n, Double4{});
   state.drift.assign(n, Double4{});
+  state.since.assign(n, 0.0);
   state.until.assign(n, 0.0);
   state.elapsed = state.horizon = state.renewal = 0.0;
   state.flat.assign(tree_.nodes.size(), 0);
+  state.flat_around.assign(tree_.patches.size(), 0);
   scratch_.old.reserve(48 * n);
   scratch_.pending_faces.blocks.resize(kMostPending / 8);
   scratch_.pending_edges.blocks.resize(kMostPending / 8);
@@ -164,6 +176,7 @@ void ContactSearch::clear(State& state) const {
   scratch_.later.resize(n);
   scratch_.drift.resize(n);
   scratch_.strayed.resize(n);
+  scratch_.life.resize(n);
 }
 
 /// Pairs that lie near one another in the rest shape must not repel there: their distance is at most 0.7 of what
@@ -284,30 +297,50 @@ void ContactSearch::Search::run(double block_seconds) {
   state_.valid = true;
 }
 
+/// Squared distance of a vertex from where its path has it now, m^2.
+double ContactSearch::Search::distance2_from_path(std::int32_t i) const {
+  const __m256d off = _mm256_sub_pd(
+      load(x_[i]), _mm256_fmadd_pd(load(state_.drift[i]), _mm256_set1_pd(state_.elapsed), load(state_.start[i])));
+  Double4 square;
+  store(square, _mm256_mul_pd(off, off));
+  return square.x + square.y + square.z;
+}
+
+/// How long a vertex will keep to a path that begins now, s. Off a path of length t by d, it would have left it at
+/// t sqrt(slack / d), as a constant acceleration has it. Most accelerations change sign before.
+double ContactSearch::Search::life_of(std::int32_t i, double distance2, double speed) const {
+  const double longest = std::clamp(of_.slack_ / std::max(speed, 1e-9), kFrameSeconds, kLongest);
+  const double age = state_.elapsed - state_.since[i];
+  if (!(age > 0.0)) return longest;
+  return std::clamp(kTrust * age * std::sqrt(of_.slack_ / std::max(std::sqrt(distance2), 1e-12)), shortest_, longest);
+}
+
 /// Marks the vertices that are off their path, or will be by the block's end. Takes those with it that have used a part
-/// of their slack, since they would be next. @return whether candidates are searched for all.
+/// of their slack, since they would be next. Begins the paths of all of these. @return whether candidates are searched
+/// for all.
 bool ContactSearch::Search::choose_strayed(double block_seconds) {
   const std::int32_t n = topology_.vertices;
-  const double end = state_.elapsed + block_seconds, soon = end + kSoon * kFrameSeconds;
+  const double end = state_.elapsed + block_seconds;
   const double near = std::pow(kNear * static_cast<double>(of_.slack_), 2);
+  shortest_ = block_seconds;
   bool all = n < of_.piecewise_ || end > state_.renewal;
-  if (!all) {
-    const __m256d elapsed = _mm256_set1_pd(state_.elapsed);
-    std::int32_t count = 0;
-    for (std::int32_t i = 0; i < n; ++i) {
-      const __m256d off =
-          _mm256_sub_pd(load(x_[i]), _mm256_fmadd_pd(load(state_.drift[i]), elapsed, load(state_.start[i])));
-      Double4 square;
-      store(square, _mm256_mul_pd(off, off));
-      scratch_.strayed[i] = square.x + square.y + square.z > near || state_.until[i] < soon;
-      count += scratch_.strayed[i];
-    }
-    all = 2 * count > n;
+  double common = kLongest;
+  std::int32_t count = 0;
+  for (std::int32_t i = 0; i < n; ++i) {
+    const double off = distance2_from_path(i);
+    const Double4& u = v_[i];
+    scratch_.life[i] = static_cast<float>(life_of(i, off, std::sqrt(u.x * u.x + u.y * u.y + u.z * u.z)));
+    common = std::min(common, static_cast<double>(scratch_.life[i]));
+    scratch_.strayed[i] = off > near || state_.until[i] < end + kSoon * (state_.until[i] - state_.since[i]);
+    count += scratch_.strayed[i];
   }
+  all = all || 2 * count > n;
   if (all) {
     std::fill(scratch_.strayed.begin(), scratch_.strayed.end(), std::uint8_t{1});
     std::fill(state_.path.begin(), state_.path.end(), 0.0f);
     state_.elapsed = 0.0;
+    state_.renewal = n < of_.piecewise_ ? common : kRenewal;
+    if (n < of_.piecewise_) std::fill(scratch_.life.begin(), scratch_.life.end(), static_cast<float>(common));
   }
   return all;
 }
@@ -315,17 +348,9 @@ bool ContactSearch::Search::choose_strayed(double block_seconds) {
 /// Computes where every vertex is on its path now and at the path's end. Vertices of this search begin a new path.
 void ContactSearch::Search::take_paths() {
   const std::int32_t n = topology_.vertices;
-  double low[3] = {1e300, 1e300, 1e300}, fastest = 0.0;
-  for (std::int32_t i = 0; i < n; ++i) {
+  double low[3] = {1e300, 1e300, 1e300};
+  for (std::int32_t i = 0; i < n; ++i)
     low[0] = std::min(low[0], x_[i].x), low[1] = std::min(low[1], x_[i].y), low[2] = std::min(low[2], x_[i].z);
-    fastest = std::max(fastest, v_[i].x * v_[i].x + v_[i].y * v_[i].y + v_[i].z * v_[i].z);
-  }
-  // A path is valid for a frame, or longer where little moves. In a search for few vertices each has its own time.
-  const auto longest = [&](double speed) {
-    return std::clamp(of_.slack_ / std::max(speed, 1e-9), kFrameSeconds, kLongest);
-  };
-  const double common = longest(std::sqrt(fastest));
-  if (all_) state_.renewal = n < of_.piecewise_ ? common : kRenewal;
   state_.horizon = kLongest;
   std::vector<Float4>&position = scratch_.position, &later = scratch_.later, &drift = scratch_.drift;
   for (std::int32_t i = 0; i < n; ++i) {
@@ -334,9 +359,8 @@ void ContactSearch::Search::take_paths() {
     if (scratch_.strayed[i]) {
       u = v_[i];
       start = {x_[i].x - state_.elapsed * u.x, x_[i].y - state_.elapsed * u.y, x_[i].z - state_.elapsed * u.z, 0.0};
-      const double speed = std::sqrt(u.x * u.x + u.y * u.y + u.z * u.z);
-      const double mine = n < of_.piecewise_ ? common : longest(speed);
-      state_.until[i] = std::min(state_.elapsed + mine, state_.renewal);
+      state_.since[i] = state_.elapsed;
+      state_.until[i] = std::min(state_.elapsed + static_cast<double>(scratch_.life[i]), state_.renewal);
     } else {
       now = {start.x + state_.elapsed * u.x, start.y + state_.elapsed * u.y, start.z + state_.elapsed * u.z, 0.0};
     }
@@ -487,22 +511,62 @@ void ContactSearch::Search::mark_lanes(BoxBlock& block, int corners) {
       block.strayed |= static_cast<unsigned>(scratch_.strayed[block.corner[k][lane]]) << lane;
 }
 
-/// A node is not searched while it is flat. When it stops being flat, all of its vertices join the search.
+/// Whether all normals around a patch lie in one cone below 90 degrees (PatchNode::convex), so that no two parts of it
+/// and its neighbours can touch.
+bool ContactSearch::Search::flat_around(std::int32_t patch) const {
+  if (!tree_.round[patch]) return false;
+  const std::int32_t *begin = tree_.around.data() + tree_.around_start[patch],
+                     *end = tree_.around.data() + tree_.around_start[patch + 1];
+  float x = 0.0f, y = 0.0f, z = 0.0f;
+  for (const std::int32_t* leaf = begin; leaf != end; ++leaf) {
+    const Float4& sum = scratch_.sums[*leaf];
+    x += sum.x, y += sum.y, z += sum.z;
+  }
+  const float length = std::sqrt(x * x + y * y + z * z);
+  return std::all_of(begin, end, [&](std::int32_t leaf) {
+    const float(&axis)[3] = tree_.nodes[leaf].axis;
+    return x * axis[0] + y * axis[1] + z * axis[2] > scratch_.least_cosine[leaf] * length;
+  });
+}
+
+/// Whether two leaves are neighbours in a part of the cloth that is flat.
+bool ContactSearch::Search::one_sheet(std::int32_t first, std::int32_t second) const {
+  const std::int32_t p = tree_.nodes[first].patch, q = tree_.nodes[second].patch;
+  if (!state_.flat_around[p] && !state_.flat_around[q]) return false;
+  const auto begin = tree_.near.begin() + tree_.near_start[p], end = tree_.near.begin() + tree_.near_start[p + 1];
+  return std::find(begin, end, second) != end;
+}
+
+/// A node, or a patch with its neighbours, is not searched while it is flat. When it stops being flat, all of its
+/// vertices join the search.
 void ContactSearch::Search::mark_what_is_flat_no_more() {
   std::vector<PatchNode>& nodes = tree_.nodes;
   const auto flat = [&](const PatchNode& node) { return node.convex && node.angle < kFlat; };
+  for (std::size_t index = 0; index < nodes.size(); ++index)
+    if (nodes[index].patch >= 0)
+      scratch_.least_cosine[index] = nodes[index].angle < kFlat ? std::cos(kFlat - nodes[index].angle) : 2.0f;
   for (bool more = !all_; more;) {
     more = false;
-    for (std::size_t index = 0; index < nodes.size(); ++index)
+    for (std::size_t index = 0; index < nodes.size(); ++index) {
+      const std::int32_t patch = nodes[index].patch;
       if (nodes[index].strayed && state_.flat[index] && !flat(nodes[index])) {
         state_.flat[index] = 0;
         mark(static_cast<std::int32_t>(index));
         more = true;
       }
+      if (patch >= 0 && state_.flat_around[patch] && !flat_around(patch)) {
+        state_.flat_around[patch] = 0;
+        mark(static_cast<std::int32_t>(index));
+        more = true;
+      }
+    }
     if (more) spread_marks();
   }
-  for (std::size_t index = 0; index < nodes.size(); ++index)
+  for (std::size_t index = 0; index < nodes.size(); ++index) {
     if (nodes[index].strayed) state_.flat[index] = flat(nodes[index]);
+    if (nodes[index].strayed && nodes[index].patch >= 0)
+      state_.flat_around[nodes[index].patch] = flat_around(nodes[index].patch);
+  }
 }
 
 /// Moves the pairs with a marked vertex out of the candidates. Those whose side or slip is known go to scratch_.old.
@@ -563,7 +627,7 @@ void ContactSearch::Search::meet_within(std::int32_t index) {
   const PatchNode& node = tree_.nodes[index];
   if (!node.strayed || state_.flat[index]) return;
   if (node.patch >= 0) {
-    scratch_.met.push_back({index, index});
+    if (!state_.flat_around[node.patch]) scratch_.met.push_back({index, index});
     return;
   }
   meet_within(node.left);
@@ -578,7 +642,7 @@ void ContactSearch::Search::meet_between(std::int32_t first, std::int32_t second
   for (int k = 0; k < 3; ++k)
     if (a.low[k] > b.high[k] || b.low[k] > a.high[k]) return;
   if (a.patch >= 0 && b.patch >= 0) {
-    scratch_.met.push_back({first, second});
+    if (!one_sheet(first, second)) scratch_.met.push_back({first, second});
     return;
   }
   const auto extent = [](const PatchNode& node) {

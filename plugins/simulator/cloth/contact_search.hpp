@@ -50,12 +50,13 @@ class ContactSearch {
     std::vector<float> path;  ///< [padded(V)] m moved since all candidates were found
     // The candidates are valid while every vertex is within slack() of start + drift * elapsed and elapsed <= its
     // `until`.
-    std::vector<Double4> start, drift;  ///< [V] m, m/s
-    std::vector<double> until;          ///< [V] s
-    double elapsed = 0.0;               ///< s, since all candidates were found
-    double horizon = 0.0;               ///< s, the least `until`
-    double renewal = 0.0;               ///< s, longest time without a search for all
-    std::vector<std::uint8_t> flat;     ///< [nodes] no two parts of the node can touch, nothing was searched in it
+    std::vector<Double4> start, drift;      ///< [V] m, m/s
+    std::vector<double> since, until;       ///< [V] s, begin and end of the path
+    double elapsed = 0.0;                   ///< s, since all candidates were found
+    double horizon = 0.0;                   ///< s, the least `until`
+    double renewal = 0.0;                   ///< s, longest time without a search for all
+    std::vector<std::uint8_t> flat;         ///< [nodes] no two parts of the node can touch, nothing was searched in it
+    std::vector<std::uint8_t> flat_around;  ///< [patches] the same for the patch and all around it
   };
 
   /// @param thickness, edge_thickness m, distance below which vertex and triangle, and two edges, are in contact.
@@ -91,10 +92,12 @@ class ContactSearch {
   /// Room for a search, kept so that the frame loop does not allocate.
   struct Scratch {
     std::vector<Float4> sums;         ///< [nodes] sums of unit normals
+    std::vector<float> least_cosine;  ///< [nodes] of the angle to an axis from which the node is flat
     std::vector<std::uint8_t> boxed;  ///< [patches] vertex and edge boxes are those of this search
     Pairs old;                        ///< first vertices and triangles, then edges
     std::size_t old_vertex_triangle = 0;
     std::vector<std::uint8_t> strayed;  ///< [V] candidates are searched for it
+    std::vector<float> life;            ///< [V] s, of a path that begins now
     Pending pending_faces, pending_edges;
     std::vector<std::uint64_t> table;              ///< the places of the old pairs, by key
     std::vector<std::array<std::int32_t, 2>> met;  ///< leaves whose boxes meet

@@ -1,4 +1,5 @@
 #pragma once
+#include <algorithm>
 #include <array>
 #include <vector>
 
@@ -56,6 +57,13 @@ class Elements {
   float add_forces(const Fixed4* x, const Float4* v, Float4* forces) const;
   /// Tables only: moduli from the present strain and curvature (secant, lagged to this call).
   void update_moduli(const Double4* x);
+  /// Raises the fabric's stiffness-proportional dampings to these, s, where they are smaller.
+  void damp_at_least(double stretch_s, double bend_s) {
+    fabric_.damping_stretch_s = std::max(fabric_.damping_stretch_s, stretch_s);
+    fabric_.damping_bend_s = std::max(fabric_.damping_bend_s, bend_s);
+  }
+  double stretch_damping_s() const { return fabric_.damping_stretch_s; }
+  double bend_damping_s() const { return fabric_.damping_bend_s; }
   /// Both stiffness-proportional dampings times `part`.
   void scale_damping(double part) {
     fabric_.damping_stretch_s *= part;

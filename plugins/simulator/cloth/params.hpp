@@ -10,6 +10,8 @@ struct Params {
   double damping_least_step = 0.9;
   double inertia_length_m = 0.0;
   double fine_inertia_length_m = 0.017;
+  double fine_stretch_damping_s = 1e-4;
+  double fine_bend_damping_s = 1e-3;
   double settle_damping_per_s = 6.0;
   double grasp_strain_warning = 0.15;
   bool self_contact = true;
@@ -29,7 +31,12 @@ struct Params {
       "Waves shorter than about four times this length get more inertia, so that finer meshes need no more substeps "
       "(selective mass scaling). Shapes at rest do not depend on it. 0: no added inertia.");
     v("fine_inertia_length_m", fine_inertia_length_m, range(0.0, 0.1, "m"),
-      "Replaces inertia_length_m on meshes with a mean edge below 12 mm, where it is larger.");
+      "Replaces inertia_length_m, where it is larger, on meshes with a mean edge below 12 mm, and on those that would need "
+      "more than max_substeps. Membranes with waves faster than 60 m/s have more of it, up to twice as much.");
+    v("fine_stretch_damping_s", fine_stretch_damping_s, range(0.0, 1.0, "s"),
+      "Least stiffness-proportional damping of strain on these meshes, so that waves as short as an edge die out.");
+    v("fine_bend_damping_s", fine_bend_damping_s, range(0.0, 1.0, "s"),
+      "The same for bending. Both are reduced where damping_least_step asks for it.");
     v("settle_damping_per_s", settle_damping_per_s, range(0.0, 100.0, "1/s"),
       "Air drag added during settle() only, so that a dropped sheet comes to rest in about a second.");
     v("grasp_strain_warning", grasp_strain_warning, range(0.0, 10.0),

@@ -50,6 +50,12 @@ bool border_is_at(const std::vector<Point>& hull, const Topology& topology, cons
   return true;
 }
 
+bool without_border(const Topology& topology, const std::vector<std::int32_t>& faces) {
+  return std::all_of(faces.begin(), faces.end(), [&](std::int32_t f) {
+    return std::all_of(topology.opposite[f].begin(), topology.opposite[f].end(), [](std::int32_t v) { return v >= 0; });
+  });
+}
+
 /// Whether shared vertices connect the faces.
 bool connected(const Topology& topology, const std::vector<std::int32_t>& faces) {
   std::vector<std::int32_t> sorted(faces), seen(faces.size(), 0), stack{0};
@@ -98,6 +104,7 @@ class Builder {
     std::stable_sort(order_.begin(), order_.end(),
                      [&](std::int32_t f, std::int32_t g) { return component(f) < component(g); });
     chain(0);
+    look_around();
   }
 
  private:
@@ -201,6 +208,50 @@ class Builder {
       for (int c = 0; c < 3; ++c) blocks.back().corner[c][k % 8] = corner(ids[k], c);
     }
     range[1] = static_cast<std::int32_t>(blocks.size());
+  }
+
+  /// Lists the leaves around each patch.
+  void look_around() {
+    std::vector<std::int32_t> leaf_of_face(topology_.faces.size());
+    std::vector<std::vector<std::int32_t>> faces_of(tree_.patches.size());
+    for (std::size_t n = 0; n < tree_.nodes.size(); ++n) {
+      if (tree_.nodes[n].patch < 0) continue;
+      const Patch& patch = tree_.patches[tree_.nodes[n].patch];
+      for (std::int32_t b = patch.faces[0]; b < patch.faces[1]; ++b)
+        for (const std::int32_t f : tree_.faces[b].id) {
+          if (f < 0) continue;
+          leaf_of_face[f] = static_cast<std::int32_t>(n);
+          faces_of[tree_.nodes[n].patch].push_back(f);
+        }
+    }
+    const auto neighbours = [&](const std::vector<std::int32_t>& leaves) {
+      std::vector<std::int32_t> near;
+      for (const std::int32_t leaf : leaves)
+        for (const std::int32_t f : faces_of[tree_.nodes[leaf].patch])
+          for (const std::int32_t v : topology_.faces[f])
+            for (std::int32_t k = topology_.face_of_vertex_start[v]; k < topology_.face_of_vertex_start[v + 1]; ++k)
+              near.push_back(leaf_of_face[topology_.face_of_vertex[k]]);
+      std::sort(near.begin(), near.end());
+      near.erase(std::unique(near.begin(), near.end()), near.end());
+      return near;
+    };
+    const auto put = [](std::vector<std::int32_t>& starts, std::vector<std::int32_t>& list,
+                        const std::vector<std::int32_t>& more) {
+      if (starts.empty()) starts.push_back(0);
+      list.insert(list.end(), more.begin(), more.end());
+      starts.push_back(static_cast<std::int32_t>(list.size()));
+    };
+    for (const auto& own : faces_of) {
+      const std::vector<std::int32_t> near = neighbours({leaf_of_face[own[0]]}), around = neighbours(near);
+      std::vector<std::int32_t> faces;
+      for (const std::int32_t leaf : around) {
+        const auto& more = faces_of[tree_.nodes[leaf].patch];
+        faces.insert(faces.end(), more.begin(), more.end());
+      }
+      tree_.round.push_back(without_border(topology_, faces) || nearly_convex(topology_, faces));
+      put(tree_.near_start, tree_.near, near);
+      put(tree_.around_start, tree_.around, around);
+    }
   }
 
   const Topology& topology_;

@@ -40,6 +40,10 @@ struct PatchTree {
 
   std::vector<Patch> patches;
   std::vector<PatchNode> nodes;  ///< the root comes first
+  /// [patches + 1], and leaves, sorted: those that share a vertex with a patch, itself among them; and their neighbours.
+  std::vector<std::int32_t> near_start, near, around_start, around;
+  /// [patches] what is around the patch has no border of the mesh, or is one piece and nearly convex.
+  std::vector<std::uint8_t> round;
   std::vector<BoxBlock> faces, vertices, edges;
 };
 
