@@ -9,6 +9,7 @@
 #include "weft/optimiser.hpp"
 
 namespace weft::conformance {
+namespace of_optimisers {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
@@ -478,8 +479,10 @@ Outcome refuses_nan(const Bench& bench) {
 }
 
 }  // namespace
+}  // namespace of_optimisers
 
 const std::vector<Law>& optimiser_laws() {
+  using namespace of_optimisers;
   static const std::vector<Law> laws = {
       {"solves_an_ill_conditioned_quadratic",
        "6 variables, condition 1000, 400 iterations, 20000 evaluations: final over initial cost.", 1e-2,

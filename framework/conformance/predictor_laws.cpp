@@ -7,6 +7,7 @@
 #include "simulation/task_config.hpp"
 
 namespace weft::conformance {
+namespace of_predictors {
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
@@ -711,6 +712,7 @@ Outcome refuses_nan(const Bench& bench) {
 }
 
 }  // namespace
+}  // namespace of_predictors
 
 Task predictor_task(const Bench& bench) {
   if (bench.task.has("garment")) {
@@ -721,7 +723,7 @@ Task predictor_task(const Bench& bench) {
   if (!bench.task.is_null()) bench.task.refuse_unknown_keys({"garment", "simulator", "trajectory"});
   Task task;
   task.garment = towel(6, 0.25);
-  task.material = material_space();
+  task.material = of_predictors::material_space();
   task.simulator = bench.task.find("simulator").value_or(ConfigNode::parse("{plugin: cloth}", "conformance"));
   task.trajectory = bench.host.create<Trajectory>(
       bench.task.find("trajectory").value_or(ConfigNode::parse("{plugin: arc}", "conformance")));
@@ -739,6 +741,7 @@ Task predictor_task(const Bench& bench) {
 }
 
 const std::vector<Law>& predictor_laws() {
+  using namespace of_predictors;
   static const std::vector<Law> laws = {
       {"pullback_of_controls", "gradients: d loss / d controls agrees with central differences of predict (relative).",
        0.02, pullback_of_controls},

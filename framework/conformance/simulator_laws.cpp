@@ -9,6 +9,7 @@
 #include "meshes/intersections.hpp"
 
 namespace weft::conformance {
+namespace of_simulators {
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
@@ -668,8 +669,10 @@ Outcome non_finite_state_never_leaves(const Bench& bench) {
 }
 
 }  // namespace
+}  // namespace of_simulators
 
 const std::vector<Law>& simulator_laws() {
+  using namespace of_simulators;
   static const std::vector<Law> laws = {
       {"falls_freely", "In free space a sheet follows x0 + v0 t + g t^2 / 2 (error over the distance fallen, 0.5 s).",
        0.02, falls_freely},

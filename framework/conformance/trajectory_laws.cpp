@@ -6,6 +6,7 @@
 #include "conformance/kit.hpp"
 
 namespace weft::conformance {
+namespace of_trajectories {
 namespace {
 
 constexpr Index kHorizon = 25;  // the planner's first b (section 4)
@@ -342,8 +343,10 @@ Outcome refuses_bad_shapes(const Bench& bench) {
 }
 
 }  // namespace
+}  // namespace of_trajectories
 
 const std::vector<Law>& trajectory_laws() {
+  using namespace of_trajectories;
   static const std::vector<Law> laws = {
       {"variables_are_well_formed", "Names are unique, bounds finite around the defaults, scales > 0 (violations).", 0,
        variables_are_well_formed},

@@ -64,7 +64,7 @@ std::string_view next_word(std::string_view& rest) {
   return word;
 }
 
-struct Reader {
+struct ObjReader {
   std::string name;
   std::size_t line = 0;
   bool triangles_only = true;
@@ -252,7 +252,7 @@ std::vector<std::string> make_plain(std::string& text) {
 
 ObjFile read_obj_file(const std::filesystem::path& path, bool triangles_only) {
   std::string text = read_whole(path);
-  Reader reader;
+  ObjReader reader;
   reader.triangles_only = triangles_only;
   reader.file.skipped = make_plain(text);
   reader.name = path.string();

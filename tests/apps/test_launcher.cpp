@@ -2,6 +2,8 @@
 // write down how they were called. Nothing is installed or built.
 #include <sys/stat.h>
 
+#include <fstream>
+
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 
@@ -69,16 +71,33 @@ TEST_F(Launcher, ConfiguresBuildsAndRunsInTheCallersFolder) {
 TEST_F(Launcher, BuildsWhatNeedsLibtorchOnFirstUse) {
   folder_.write("base.yaml", "predictor: {plugin: torchscript, params: {module: m.pt}}\n");
   folder_.write("task.yaml", "extends: \"base.yaml\"\nseed: 3\n");
+  folder_.write("sweep.yaml", "task: task.yaml  # of every arm\nseeds: [1]\n");
+  folder_.write("round.yaml", "extends: round.yaml\ntask: other.yaml\n");
   folder_.write("other.yaml", "predictor: {plugin: emd}\n");
   const auto target = [&](const std::string& arguments) {
     launch(arguments);
     return log();
   };
   for (const char* with : {"train x.yaml", "conformance torchscript", "plugins", "run task.yaml",
-                           "run other.yaml --set predictor.plugin=torchscript", "evaluate prediction other.yaml"})
+                           "run other.yaml --set predictor.plugin=torchscript", "ablate sweep.yaml", "describe emd"})
     EXPECT_THAT(target(with), HasSubstr("build/release weft_programs")) << with;
-  for (const char* without : {"run other.yaml", "run missing.yaml", "simulate other.yaml", "--help"})
+  for (const char* without :
+       {"run other.yaml", "run missing.yaml", "simulate other.yaml", "ablate round.yaml", "--help"})
     EXPECT_THAT(target(without), HasSubstr("build/release weft_without_torch")) << without;
+}
+
+TEST_F(Launcher, LibtorchIsInstalledWhenACommandFirstNeedsIt) {
+  tool("dpkg-query", "shift 3; for p; do case $p in libtorch-dev) ;; *) echo \"installed $p\";; esac; done; exit 1");
+  EXPECT_EQ(launch("run task.yaml").code, 7);
+  EXPECT_THAT(log(), AllOf(HasSubstr("cmake"), Not(HasSubstr("apt-get"))));
+  // Configured without it, so the build must be configured again.
+  std::ofstream((folder_ / "tree/build/release/CMakeCache.txt").string(), std::ios::app)
+      << "WEFT_TORCH_CPU:FILEPATH=WEFT_TORCH_CPU-NOTFOUND\n";
+  launch("run task.yaml");
+  EXPECT_THAT(log(), Not(HasSubstr("cmake")));
+  EXPECT_EQ(launch("train x.yaml").code, 7);
+  EXPECT_THAT(log(), AllOf(HasSubstr("--no-install-recommends libtorch-dev\n"), HasSubstr("cmake"),
+                           HasSubstr("build/release weft_programs")));
 }
 
 TEST_F(Launcher, TestBuildsTheTestsAndRunsThemAll) {

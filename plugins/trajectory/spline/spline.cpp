@@ -1,8 +1,9 @@
 #include "spline.hpp"
 
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+
+#include "least_squares.hpp"
 
 namespace weft::spline {
 namespace {
@@ -148,14 +149,8 @@ Vector Spline::encode(const Controls& controls, ConstVec state) const {
     for (Index i = 0; i < 4; ++i) basis(j, p.first + i) = p.weight[i];
     current = after(current, controls.row(j).transpose());
   }
-  Controls points = Controls::Zero(points_, columns_);
-  if (horizon > 0) {
-    // The weights of a segment sum to 1, so a constant is fitted exactly: fit what differs from the (weighted) mean.
-    const Eigen::RowVectorXd mean = weights.transpose() * controls / weights.sum();
-    const Matrix rest = weights.asDiagonal() * (controls.rowwise() - mean);
-    points = (weights.asDiagonal() * basis).completeOrthogonalDecomposition().solve(rest);
-    points.rowwise() += mean;
-  }
+  const Controls points =
+      horizon > 0 ? fit_control_points(basis, weights, controls) : Controls(Controls::Zero(points_, columns_));
   return Eigen::Map<const Vector>(points.data(), points.size());
 }
 
