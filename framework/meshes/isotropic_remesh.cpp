@@ -22,8 +22,8 @@ constexpr double kSharpest = 0.2;        // cosine between the faces of an edge 
 using Line = std::pair<int, int>;
 Line line_of(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
 
-/// How a vertex may move: in the surface, along a line, or not; a corner may still vanish where it is too small to see at
-/// the target length.
+/// How a vertex may move: in the surface, along a line, or not; a corner may still vanish where it is too small to see
+/// at the target length.
 enum class Freedom : unsigned char { surface, line, corner, none };
 
 /// The surface while it changes: faces by vertex, dead ones kept until the end.

@@ -27,9 +27,8 @@ struct RemeshedSurface {
 /// edges longer than 4/3 of the target, collapses those shorter than 4/5, flips edges towards six neighbours (four on a
 /// boundary), moves vertices to the centre of their neighbours within the tangent plane, and projects them to the
 /// surface; ten times. Besides: vertices of boundaries and lines stay on them, move along them only, and where a line
-/// turns by more than 30 degrees, ends or branches there is a corner, which stays unless cutting it off moves the line by
-/// less than 0.05 of the target. No step may turn a face over.
-/// The same input gives the same bits.
+/// turns by more than 30 degrees, ends or branches there is a corner, which stays unless cutting it off moves the line
+/// by less than 0.05 of the target. No step may turn a face over. The same input gives the same bits.
 /// @param edge_length the target at a place, m, > 0.
 RemeshedSurface remesh_isotropic(const Surface& surface, const std::function<double(const Vec3&)>& edge_length);
 

@@ -9,7 +9,8 @@
 namespace weft {
 namespace {
 
-/// Barycentric weights of the point of triangle a b c nearest to p (Ericson 2005, Real-Time Collision Detection, 5.1.5).
+/// Barycentric weights of the point of triangle a b c nearest to p (Ericson 2005, Real-Time Collision Detection,
+/// 5.1.5).
 Vec3 nearest_weights(const Vec3& p, const Vec3& a, const Vec3& b, const Vec3& c) {
   const Vec3 ab = b - a, ac = c - a, ap = p - a;
   const double d1 = ab.dot(ap), d2 = ac.dot(ap);

@@ -38,8 +38,8 @@ class NearestSurface {
   std::vector<Node> nodes_;
 };
 
-/// The one-sided Hausdorff distance, sampled: the largest distance of the vertices, edge midpoints and face centres of a
-/// mesh from a surface, m.
+/// The one-sided Hausdorff distance, sampled: the largest distance of the vertices, edge midpoints and face centres of
+/// a mesh from a surface, m.
 double distance_from_surface(const std::vector<Vec3>& positions, const std::vector<std::array<int, 3>>& faces,
                              const NearestSurface& surface);
 

@@ -125,8 +125,8 @@ TEST(IsotropicRemesh, RefinesAndCoarsensADome) {
   const Surface surface = patch(30, 30, dome);
   for (const double target : {0.012, 0.05}) {
     SCOPED_TRACE(target);
-    // A triangle of edges of 1.6 targets lies up to (1.6 t / sqrt 3)^2 / 2 R = 0.85 t^2 from the sphere of R = 0.5 m, and
-    // the patch itself up to 0.2 mm.
+    // A triangle of edges of 1.6 targets lies up to (1.6 t / sqrt 3)^2 / 2 R = 0.85 t^2 from the sphere of R = 0.5 m,
+    // and the patch itself up to 0.2 mm.
     expect_sound(surface, remesh_isotropic(surface, [target](const Vec3&) { return target; }), target,
                  0.85 * target * target + 2e-4);
   }

@@ -9,8 +9,8 @@
 namespace weft {
 namespace {
 
-/// Of the sides of one edge, the two whose faces go on flattest: the largest dot product of their unit normals, taken as
-/// if both faces looked to the same side.
+/// Of the sides of one edge, the two whose faces go on flattest: the largest dot product of their unit normals, taken
+/// as if both faces looked to the same side.
 std::pair<const MeshSide*, const MeshSide*> flattest_pair(const ImportMesh& mesh, const MeshSide* begin,
                                                           const MeshSide* end) {
   std::pair<const MeshSide*, const MeshSide*> best{begin, begin + 1};

@@ -18,8 +18,8 @@ constexpr double kOutlineBound = 0.02;             // of the edge length: how fa
 constexpr double kCrease = 0.5;                    // cosine between faces: 60 degrees, such as the rim of two layers
 constexpr double kShortestCrease = 5.0;            // of the edge length
 
-/// The outline of a flat piece. Its corners are the sharp turns, the named vertices, and as many more as it takes for the
-/// sides between them to stay within the bound of the old outline when they are cut into edges.
+/// The outline of a flat piece. Its corners are the sharp turns, the named vertices, and as many more as it takes for
+/// the sides between them to stay within the bound of the old outline when they are cut into edges.
 Outline outline_of(const ImportMesh& mesh, const std::vector<int>& loop, const MeshSize& size,
                    const std::map<int, std::string>& kept) {
   const std::size_t n = loop.size();
@@ -32,8 +32,8 @@ Outline outline_of(const ImportMesh& mesh, const std::vector<int>& loop, const M
   }
   // A smooth outline, such as a circle, gets three corners to start from.
   for (std::size_t i = 0; std::count(corner.begin(), corner.end(), true) < 3; ++i) corner[i * n / 3 % n] = true;
-  // Sides that are cut into whole edges leave a curve by about h^2 / 8 R. Where that is too much, the vertex furthest out
-  // becomes a corner, as often as needed.
+  // Sides that are cut into whole edges leave a curve by about h^2 / 8 R. Where that is too much, the vertex furthest
+  // out becomes a corner, as often as needed.
   const auto cut_side = [&](std::size_t from, std::size_t to) {
     double length = 0.0;
     for (std::size_t i = from; i != to; i = (i + 1) % n) length += (at[(i + 1) % n] - at[i]).norm();

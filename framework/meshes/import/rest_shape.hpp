@@ -18,10 +18,10 @@ struct TextureFit {
 };
 TextureFit fit_texture(const ImportMesh& mesh);
 
-/// Finds the rest shape that today's garments have: one place in the plane per vertex.
-/// A mesh that is flat within 1e-4 of its extent is laid at z = 0 and is its own rest shape; it keeps vt that are such a
-/// shape already. A curved one is laid flat where its texture is one chart of its size. Faces run counter-clockwise
-/// afterwards. Everything else is a finding of the kind `limit`.
+/// Finds the rest shape that today's garments have: one place in the plane per vertex. A mesh that is flat within 1e-4
+/// of its extent is laid at z = 0 and is its own rest shape; it keeps vt that are such a shape already. A curved one is
+/// laid flat where its texture is one chart of its size. Faces run counter-clockwise afterwards. Everything else is a
+/// finding of the kind `limit`.
 /// @return [V, 2] m; no rows: there is none.
 RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings);
 

@@ -53,8 +53,9 @@ const Unit& guess_unit(double extent, const std::string& source, Finding& findin
   return *best;
 }
 
-/// Sums over the open edges p x q: twice the area that the openings enclose, seen along each axis. Interior edges cancel,
-/// so no loop needs to be followed; inconsistent faces only blur the guess. Slits and missing faces do not count.
+/// Sums over the open edges p x q: twice the area that the openings enclose, seen along each axis. Interior edges
+/// cancel, so no loop needs to be followed; inconsistent faces only blur the guess. Slits and missing faces do not
+/// count.
 Vec3 area_of_openings(const ImportMesh& mesh, std::vector<Vec3>& loops) {
   const auto sides = mesh_sides(mesh.faces);
   DisjointSets sets(mesh.positions.size());
