@@ -482,6 +482,7 @@ Outcome refuses_nan(const Bench& bench) {
 }  // namespace of_optimisers
 
 void probe_optimiser(const Bench& bench) {
+  using namespace of_optimisers;
   const auto o = bench.make<Optimiser>();
   Search s(*o, 3, small_bowl(), spread(3, 2));
   s.options.max_iterations = 2;

@@ -716,6 +716,7 @@ Outcome refuses_nan(const Bench& bench) {
 }  // namespace of_predictors
 
 void probe_predictor(const Bench& bench) {
+  using namespace of_predictors;
   const Fold fold(bench);
   fold.predict({fold.ask(1, {1}, 1)});
 }

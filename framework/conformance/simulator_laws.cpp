@@ -672,6 +672,7 @@ Outcome non_finite_state_never_leaves(const Bench& bench) {
 }  // namespace of_simulators
 
 void probe_simulator(const Bench& bench) {
+  using namespace of_simulators;
   const auto sim = bench.make<Simulator>();
   sim->reset(sheet(), plain_fabric(), Scene());
   sim->step(kNothing);

@@ -346,6 +346,7 @@ Outcome refuses_bad_shapes(const Bench& bench) {
 }  // namespace of_trajectories
 
 void probe_trajectory(const Bench& bench) {
+  using namespace of_trajectories;
   const auto t = bench.make<Trajectory>();
   const Manipulation m = skew(*t, 0);
   t->targets(m, t->advance(m, t->initial_state(m), t->default_controls(1).row(0).transpose()));

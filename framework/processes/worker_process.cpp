@@ -26,11 +26,11 @@ std::string last_words(const std::string& errors) {
   const auto end = errors.find_last_not_of(" \n\r\t");
   if (end == std::string::npos) return "";
   const auto begin = errors.find_last_of('\n', end);
-  std::string line = errors.substr(begin == std::string::npos ? 0 : begin + 1, end + 1);
-  if (const auto stop = line.find('\n'); stop != std::string::npos) line.resize(stop);
+  std::string words = errors.substr(begin == std::string::npos ? 0 : begin + 1, end + 1);
+  if (const auto stop = words.find('\n'); stop != std::string::npos) words.resize(stop);
   constexpr std::size_t kMost = 300;
-  if (line.size() > kMost) line = line.substr(0, kMost) + "...";
-  return "; its last words: " + line;
+  if (words.size() > kMost) words = words.substr(0, kMost) + "...";
+  return "; its last words: " + words;
 }
 
 constexpr const char* kCancelled = "cancelled";  // in the place of an answer

@@ -5,9 +5,9 @@
 #include <system_error>
 #include <vector>
 
+#include "sdk/files.hpp"
 #include "sdk/obj_file.hpp"
 #include "weft/error.hpp"
-#include "sdk/files.hpp"
 #include "weft/garment.hpp"
 
 namespace weft {
