@@ -21,6 +21,9 @@ namespace fs = std::filesystem;
 // Debian's serial HDF5 is not built thread-safe; weft opens files from several threads.
 std::recursive_mutex& library_mutex() {
   static std::recursive_mutex mutex;
+  // At exit the library would write again what it could not write to a full disk, and crash. Nothing needs that: every
+  // file is closed by then. Must come before any other call.
+  [[maybe_unused]] static const herr_t no_exit_handler = H5dont_atexit();
   return mutex;
 }
 using Lock = std::lock_guard<std::recursive_mutex>;
