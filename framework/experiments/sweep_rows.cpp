@@ -73,8 +73,7 @@ SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, 
       row.identity = json.at("identity").get<std::string>();
       if (fs::exists(times_file(file))) {
         const ordered_json times = read_json(times_file(file));
-        for (const auto& [name, value] : times.items())
-          row.outcome.times.emplace_back(name, number_of(value));
+        for (const auto& [name, value] : times.items()) row.outcome.times.emplace_back(name, number_of(value));
       }
     }
   } catch (const nlohmann::json::exception& error) {
