@@ -1,17 +1,10 @@
 #include "elements.hpp"
 
-#include <Eigen/Dense>
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 
 namespace weft::cloth {
-namespace {
-
-// At a free edge: least overlap of the ghost's curvature with that of the natural condition.
-constexpr double kSeesNatural = 0.5;
-
-}  // namespace
-
 MembraneModuli membrane_moduli(const Fabric& fabric) {
   const double warp = fabric.stretch_warp_n_per_m, weft = fabric.stretch_weft_n_per_m;
   const double nu12 = fabric.poisson, nu21 = nu12 * weft / warp;
@@ -72,7 +65,7 @@ Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&
     const double u1 = q[0] - p[0], v1 = q[1] - p[1], u2 = r[0] - p[0], v2 = r[1] - p[1];
     const double det = u1 * v2 - v1 * u2;
     gradient_[f] = {v2 / det, -v1 / det, -u2 / det, u1 / det};
-    make_patch(f, patches_[f]);
+    patches_[f] = make_patch(f);
     ElementBlock& block = blocks_[f / 8];
     const int lane = f % 8;
     for (int k = 0; k < 6; ++k) block.node[k][lane] = offset_of(patches_[f].node[k]);
@@ -106,32 +99,31 @@ Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&
   }
 }
 
-void Elements::make_patch(std::int32_t f, Patch& patch) const {
+Elements::Patch Elements::make_patch(std::int32_t f) const {
   const auto& face = topology_->faces[f];
-  std::array<Eigen::Vector2d, 6> point;
-  for (int k = 0; k < 3; ++k) {
-    patch.node[k] = face[k];
-    point[k] = {topology_->rest[face[k]][0], topology_->rest[face[k]][1]};
-  }
+  Patch patch;
   for (int k = 0; k < 3; ++k) {
     const std::int32_t across = topology_->opposite[f][k];
     patch.ghost[k] = across < 0;
+    patch.node[k] = face[k];
     patch.node[3 + k] = patch.ghost[k] ? face[0] : across;
-    // A ghost stands where the parallelogram would put it; condensation makes the result independent of the place.
-    point[3 + k] = patch.ghost[k] ? Eigen::Vector2d(point[(k + 1) % 3] + point[(k + 2) % 3] - point[k])
-                                  : Eigen::Vector2d(topology_->rest[across][0], topology_->rest[across][1]);
   }
-  // Fit relative to the centroid in units of the triangle's size, which keeps the 6 x 6 system well scaled.
-  const Eigen::Vector2d centre = (point[0] + point[1] + point[2]) / 3.0;
-  const double size = std::sqrt(topology_->area[f]);
-  Eigen::Matrix<double, 6, 6> quadratic;
-  for (int k = 0; k < 6; ++k) {
-    const Eigen::Vector2d p = (point[k] - centre) / size;
-    quadratic.row(k) << 1.0, p.x(), p.y(), 0.5 * p.x() * p.x(), 0.5 * p.y() * p.y(), p.x() * p.y();
+  patch.second = second_derivatives(points_of(f, patch), topology_->area[f]);
+  return patch;
+}
+
+PatchPoints Elements::points_of(std::int32_t f, const Patch& patch) const {
+  const auto& face = topology_->faces[f];
+  PatchPoints point;
+  for (int k = 0; k < 3; ++k) point[k] = {topology_->rest[face[k]][0], topology_->rest[face[k]][1]};
+  for (int k = 0; k < 3; ++k) {
+    for (int axis = 0; axis < 2; ++axis) {
+      // A ghost stands where the parallelogram would put it; condensation makes the result independent of the place.
+      point[3 + k][axis] = patch.ghost[k] ? point[(k + 1) % 3][axis] + point[(k + 2) % 3][axis] - point[k][axis]
+                                          : topology_->rest[patch.node[3 + k]][axis];
+    }
   }
-  const Eigen::Matrix<double, 6, 6> inverse = quadratic.fullPivLu().inverse();
-  for (int row = 0; row < 3; ++row)
-    for (int k = 0; k < 6; ++k) patch.second[row][k] = inverse(3 + row, k) / (size * size);
+  return point;
 }
 
 void Elements::set_membrane(std::int32_t f, const MembraneModuli& m) {
@@ -143,54 +135,11 @@ void Elements::set_membrane(std::int32_t f, const MembraneModuli& m) {
 
 void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
   const Patch& patch = patches_[f];
-  Eigen::Matrix3d d;
-  d << m.d11, m.d12, 0.0, m.d12, m.d22, 0.0, 0.0, 0.0, m.d33;
-  Eigen::Matrix<double, 3, 6> second;
-  for (int row = 0; row < 3; ++row)
-    for (int k = 0; k < 6; ++k) second(row, k) = patch.second[row][k];
-  // Free edges: the ghost's place follows from the natural condition, no moment across the edge:
-  // m^T d kappa = 0 with m = (n_u^2, n_v^2, n_u n_v). kappa = P second x with P = 1 - G (M^T d G)^-1 M^T d, G the
-  // ghosts' columns, M their m. Energy P^T d P. Where G hardly overlaps with M (bad corners) the ghost goes to the
-  // place of least energy.
-  Eigen::Matrix<double, 3, Eigen::Dynamic, 0, 3, 3> ghosts(3, 0), normals(3, 0);
-  for (int k = 0; k < 3; ++k) {
-    if (!patch.ghost[k]) continue;
-    const auto &p = topology_->rest[patch.node[(k + 1) % 3]], &q = topology_->rest[patch.node[(k + 2) % 3]];
-    const double nu = q[1] - p[1], nv = p[0] - q[0], size2 = nu * nu + nv * nv;
-    const Eigen::Vector3d across(nu * nu / size2, nv * nv / size2, nu * nv / size2);
-    ghosts.conservativeResize(3, ghosts.cols() + 1);
-    normals.conservativeResize(3, normals.cols() + 1);
-    ghosts.col(ghosts.cols() - 1) = second.col(3 + k).normalized();
-    normals.col(normals.cols() - 1) = across.normalized();
-    second.col(3 + k).setZero();
-  }
-  if (ghosts.cols() == 3) {
-    d.setZero();
-  } else if (ghosts.cols() > 0) {
-    const Eigen::MatrixXd mixed = normals.transpose() * d * ghosts, own = ghosts.transpose() * d * ghosts;
-    const bool sees =
-        std::abs(mixed.determinant()) > kSeesNatural * std::abs(own.determinant()) && own.determinant() > 0.0;
-    if (sees) {
-      const Eigen::Matrix3d project = Eigen::Matrix3d::Identity() - ghosts * mixed.inverse() * normals.transpose() * d;
-      d = (project.transpose() * d * project).eval();
-    } else if (own.determinant() > 1e-12 * std::pow(d.trace(), static_cast<double>(ghosts.cols()))) {
-      d -= (d * ghosts * own.inverse() * ghosts.transpose() * d).eval();
-    }
-  }
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(d);
+  factors_[f] = bending_factors(points_of(f, patch), topology_->area[f], patch.second, patch.ghost, m);
   const double root_unit = std::sqrt(unit_);
-  for (int row = 0; row < 3; ++row) {
-    const double weight = std::sqrt(std::max(0.0, eigen.eigenvalues()[row]) * topology_->area[f]);
-    const Eigen::Matrix<double, 1, 6> factor = weight * eigen.eigenvectors().col(row).transpose() * second;
-    double sum = 0.0;
-    for (int k = 1; k < 6; ++k) {
-      const int node = k;
-      factors_[f][row][node] = factor[k];
-      sum += factor[k];
-      blocks_[f / 8].bend[row][k - 1][f % 8] = static_cast<float>(factor[k] * root_unit);
-    }
-    factors_[f][row][0] = -sum;  // up to ghosts: a constant has no second derivative
-  }
+  for (int row = 0; row < 3; ++row)
+    for (int k = 1; k < 6; ++k)
+      blocks_[f / 8].bend[row][k - 1][f % 8] = static_cast<float>(factors_[f][row][k] * root_unit);
 }
 
 /// One long function, because all parts of a block's computation share values that stay in registers.

@@ -3,6 +3,7 @@
 #include <array>
 #include <vector>
 
+#include "bending_patch.hpp"
 #include "simd.hpp"
 #include "topology.hpp"
 #include "weft/material.hpp"
@@ -19,10 +20,6 @@ MembraneModuli membrane_moduli(const Fabric& fabric);
 /// and size (0 .. 1/6, constant above). ARGUS writes C33 E12^2, so the shear modulus is g = c33 (not doubled).
 MembraneModuli membrane_moduli(const MaterialTables& tables, double multiplier, double e11, double e22, double e12);
 
-/// Plate moduli, N m: energy per rest area 1/2 (d11 |x_uu|^2 + d22 |x_vv|^2 + 2 d12 x_uu.x_vv + d33 |x_uv|^2).
-struct BendingModuli {
-  double d11 = 0.0, d22 = 0.0, d12 = 0.0, d33 = 0.0;
-};
 /// Bending along p = (c, s): B(p) = warp c^4 + weft s^4 + (4 bias - warp - weft) c^2 s^2 = d11 c^4 + d22 s^4 +
 /// (2 d12 + d33) c^2 s^2. d12 = 0 where that leaves d33 >= 0; a softer bias takes the rest out of d12.
 BendingModuli bending_moduli(double warp, double weft, double bias);
@@ -87,10 +84,11 @@ class Elements {
  private:
   struct Patch {
     std::array<std::int32_t, 6> node;
-    std::array<std::array<double, 6>, 3> second;  ///< (uu, vv, uv) of the quadratic, 1/m^2
+    PatchRows second;
     std::array<bool, 3> ghost;
   };
-  void make_patch(std::int32_t face, Patch& patch) const;
+  Patch make_patch(std::int32_t face) const;
+  PatchPoints points_of(std::int32_t face, const Patch& patch) const;
   void set_bending(std::int32_t face, const BendingModuli& moduli);
   void set_membrane(std::int32_t face, const MembraneModuli& moduli);
   template <bool kDampStretch, bool kDampBend>
@@ -102,7 +100,7 @@ class Elements {
   std::vector<std::array<double, 4>> gradient_;  ///< [f] as in ElementBlock, 1/m
   std::vector<Patch> patches_;
   std::vector<ElementBlock> blocks_;
-  std::vector<std::array<std::array<double, 6>, 3>> factors_;  ///< [f] rows of sqrt(area D) second, double
+  std::vector<PatchRows> factors_;  ///< [f] rows of sqrt(area D) second, double
   MembraneModuli stiffest_membrane_;
 };
 
