@@ -41,10 +41,8 @@ ConfigNode rehearse(const AblationPlan& plan, const SweepArm& arm, const PluginR
     SessionParams params;
     const ConfigNode resolved = read_params(arm.config, params);
     const Task task = make_task(params.task, arm.config, host);
-    check_session(params, arm.config, task);
     check_simulator(task.simulator, task, host);
-    const auto predictor = bound_predictor(place(arm.config, "predictor"), task, host);
-    const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+    rehearse_session(params, arm.config, host);
     return self_contained(resolved, describe_params<SessionParams>(), task, registry, folder);
   } catch (const Error& error) {
     throw ConfigError("arm '" + arm.name + "': " + error.what());

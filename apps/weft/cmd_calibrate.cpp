@@ -1,5 +1,3 @@
-#include <unistd.h>
-
 #include <cstdio>
 #include <iostream>
 #include <nlohmann/json.hpp>
@@ -27,9 +25,7 @@ void require_place(const fs::path& file, const std::vector<fs::path>& originals)
   }
   if (fs::is_directory(file, error)) refuse("is a folder, must be a file");
   const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
-  fs::create_directories(folder, error);
-  if (!fs::is_directory(folder)) refuse("its folder cannot be made: " + error.message());
-  if (::access(folder.c_str(), W_OK) != 0) refuse("its folder cannot be written to");
+  make_writable_folder(folder);
 }
 
 std::string row_name(const CalibrationRow& row) {

@@ -75,7 +75,7 @@ int run_garment(const Context& context, Request request) {
     request.size.fine_lines.push_back({Vec2(0.0, -10.0), Vec2(0.0, 10.0)});
   }
   GeneratedMesh result = generate_mesh(request.outline(), request.size);
-  if (mesh_path.has_parent_path()) std::filesystem::create_directories(mesh_path.parent_path());
+  if (mesh_path.has_parent_path()) make_writable_folder(mesh_path.parent_path());
   write_obj(mesh_path, result.mesh);
   if (request.yaml) {
     write_yaml(std::filesystem::path(mesh_path).replace_extension(".yaml"), request, result,
@@ -147,7 +147,7 @@ void add_kind(CLI::App& garment, Context& context, const std::string& kind, cons
   command->add_option("--growth", request->size.growth, "Growth of the edge length away from the band [m per m]")
       ->check(within(0.01, 1.0))
       ->capture_default_str();
-  command->add_flag("--yaml", request->yaml, "Write the garment's YAML (named vertices) beside the mesh, too");
+  command->add_flag("--yaml", request->yaml, "Also write the garment's YAML (named vertices) beside the mesh");
   command->callback([&context, command, request, kind] {
     request->command_line = recorded_command(*command, kind);
     context.action = [&context, request] { return run_garment(context, *request); };

@@ -13,12 +13,14 @@ namespace {
 
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
+  // Before any work, because it also checks the slots that the session does not use.
+  ConfigNode saved = given.saved_config();
   const auto folder =
       output_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
 
   context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
-              " threads");
+              (given.host->threads() == 1 ? " thread" : " threads"));
   const auto progress = [&](const SessionRound& round, Index number, double) {
     char line[160];
     std::snprintf(line, sizeof(line), "segment %2td  plan %5.1f s  %2td segments to go  predicted %5.1f mm%s",
@@ -27,7 +29,6 @@ int run(Context& context, const std::string& file) {
     context.say(line);
   };
   const SessionResult result = run_configured_session(given.params, given.config, *given.host, progress);
-  ConfigNode saved = given.saved_config(folder);
   const EnvironmentParams& environment = given.params.environment;
   if (!environment.simulated() && environment.folder.empty()) {
     // The command must run in the same folder when the saved config is run from another one.
@@ -41,10 +42,17 @@ int run(Context& context, const std::string& file) {
   }
   const std::string provenance = given.provenance();
   const std::string summary = session_summary_json(result);
-  write_text(folder / "config.yaml", saved.to_yaml());
-  write_text(folder / "provenance.json", provenance);
-  write_session(folder / "session.h5", result, given.task, saved, provenance);
-  write_text(folder / "summary.json", summary);
+  // The session comes first, so that it is kept if the disk gets full.
+  const auto session = folder / "session.h5";
+  write_session(session, result, given.task, saved, provenance);
+  try {
+    write_garment(given.task, folder);
+    write_text(folder / "config.yaml", saved.to_yaml());
+    write_text(folder / "provenance.json", provenance);
+    write_text(folder / "summary.json", summary);
+  } catch (const Error& error) {
+    throw Error(error.what() + ("; the session is kept in " + session.string()));
+  }
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) std::cout << summary;
   char line[200];
@@ -68,7 +76,8 @@ int run(Context& context, const std::string& file) {
 }  // namespace
 
 void register_run(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("run", "Run one whole session: plan, execute, look, re-plan, release");
+  CLI::App* command =
+      app.add_subcommand("run", "Run one whole session: plan, execute a segment, observe, plan again, release");
   add_common_options(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Task file, such as configs/tasks/tshirt_fold.yaml")->required();

@@ -36,7 +36,8 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   if (folders.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
 
   const Dataset dataset = read_datasets(context, folders, given.task);
-  if (model.has_parent_path()) fs::create_directories(model.parent_path());
+  const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
+  make_writable_folder(out);
   FitOptions options;
   options.seed = given.seed;
   options.model = model;
@@ -57,13 +58,12 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
     return true;
   });
   // The resolved config beside the results, with every default of the trained predictor.
-  const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
   write_text(out / "training.json", report.json);
   write_text(out / "config.yaml",
              given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
   if (context.json) std::cout << report.json;
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
-                report.finished ? "done" : "stopped; run the same command again to go on",
+                report.finished ? "done" : "stopped; run the same command again to continue",
                 static_cast<long long>(report.iterations), duration(report.seconds).c_str(), model.c_str());
   context.say(line);
   return report.finished ? 0 : 1;

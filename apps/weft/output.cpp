@@ -4,6 +4,7 @@
 #include <thread>
 
 #include "report/page.hpp"
+#include "sdk/files.hpp"
 #include "weft_commit.hpp"
 
 namespace weft::app {
@@ -18,10 +19,7 @@ fs::path session_file(const std::string& given) {
 
 fs::path output_folder(const Context& context, const std::string& name) {
   const fs::path folder = context.out.empty() ? fs::path("results") / name : fs::path(context.out);
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (!fs::is_directory(folder))
-    throw ConfigError("--out " + folder.string() + ": the folder cannot be made: " + error.message());
+  make_writable_folder(folder);
   return folder;
 }
 
@@ -38,10 +36,20 @@ std::string provenance_json(const PluginRegistry& registry, const Host& host, st
          "\n";
 }
 
-ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
-                          const PluginRegistry& registry, const fs::path& folder) {
+void write_garment(const Task& task, const fs::path& folder) {
   const auto& garment = *task.garment;
   write_obj(folder / "garment.obj", {garment.positions, garment.faces, garment.rest, garment.name}, true);
+}
+
+ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
+                          const PluginRegistry& registry, const fs::path& folder) {
+  write_garment(task, folder);
+  return self_contained(resolved, params, task, registry);
+}
+
+ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
+                          const PluginRegistry& registry) {
+  const auto& garment = *task.garment;
   std::vector<std::pair<std::string, ConfigNode>> vertices;
   for (const auto& [name, index] : garment.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
   const ConfigNode config = resolved

@@ -9,7 +9,8 @@
 
 namespace weft::app {
 
-/// The folder of a result: what --out names, or results/<name>. Made here. @throws ConfigError if it is a file.
+/// The folder of a result: what --out names, or results/<name>. Made here. @throws ConfigError if it
+/// cannot be made or written to.
 std::filesystem::path output_folder(const Context& context, const std::string& name);
 
 /// session.h5 of the path that a user gives: the file, or the folder of a run. @throws ConfigError when there is none.
@@ -23,6 +24,11 @@ std::string provenance_json(const PluginRegistry& registry, const Host& host, st
 /// @param params the config's keys: describe_params<...>().
 ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
                           const PluginRegistry& registry, const std::filesystem::path& folder);
+/// The same without the garment's file, which write_garment() writes.
+ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
+                          const PluginRegistry& registry);
+/// Writes the task's garment as folder/garment.obj.
+void write_garment(const Task& task, const std::filesystem::path& folder);
 
 /// Writes folder/report.html from the results in the folder. Says where the page is, or why there is none.
 void write_page(const Context& context, const std::filesystem::path& folder);

@@ -26,7 +26,8 @@ struct Prepared {
     check_session(params, config, task);
   }
   std::string provenance() const { return provenance_json(*registry, *host, seed); }
-  /// The resolved config for a result's folder, see self_contained().
+  /// The resolved config for a result's folder, see self_contained(). Without a folder: write_garment() must follow.
+  ConfigNode saved_config() const { return self_contained(resolved, describe_params<Params>(), task, *registry); }
   ConfigNode saved_config(const std::filesystem::path& folder) const {
     return self_contained(resolved, describe_params<Params>(), task, *registry, folder);
   }
