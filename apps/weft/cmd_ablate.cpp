@@ -65,10 +65,8 @@ SavedArm rehearse(const AblationPlan& plan, SweepArm& arm, const PluginRegistry&
     SessionParams params;
     const ConfigNode resolved = read_params(arm.config, params);
     const Task task = make_task(params.task, arm.config, host);
-    check_session(params, arm.config, task);
     check_simulator(task.simulator, task, host);
-    const auto predictor = bound_predictor(place(arm.config, "predictor"), task, host);
-    const Planner planner(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+    rehearse_session(params, arm.config, host);
     return resolve_arm<SessionParams>(arm, resolved, task, registry);
   } catch (const Error& error) {
     throw ConfigError("arm '" + arm.name + "': " + error.what());

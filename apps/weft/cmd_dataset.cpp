@@ -107,7 +107,8 @@ int check(const Context& context, const std::string& folder) {
       for (const auto& e : shard.examples) {
         ++examples;
         if (!seen.insert(e.index).second)
-          problem = file.string() + ": example " + std::to_string(e.index) + " is in another file, too";
+          problem = file.string() + ": example " + std::to_string(e.index) +
+                    " is also in another file; `weft dataset merge` removes duplicates";
       }
     } catch (const Error& error) {
       problem = error.what();

@@ -67,11 +67,11 @@ int run_export(Context& context, ExportOptions options) {
   // One output may be named; several go into a folder.
   const bool one = options.formats.size() + stills.size() == 1;
   const fs::path folder = !context.out.empty() && !one ? fs::path(context.out) : file.parent_path();
-  if (!folder.empty()) fs::create_directories(folder);
+  if (!folder.empty()) make_writable_folder(folder);
   const auto target = [&](const fs::path& name) {
     return one && !context.out.empty() ? fs::path(context.out) : folder / name;
   };
-  if (one && fs::path(context.out).has_parent_path()) fs::create_directories(fs::path(context.out).parent_path());
+  if (one && fs::path(context.out).has_parent_path()) make_writable_folder(fs::path(context.out).parent_path());
 
   const auto timeline = every_nth(session, options.every);
   for (const auto& format : options.formats) {

@@ -62,7 +62,7 @@ int run_garment(const Context& context, Request request) {
   if (mesh_path.extension() != ".obj") throw ConfigError("--out = " + context.out + ", must end in .obj");
   read_fine_lines(request.size, request.fine_lines);
   GeneratedMesh result = generate_mesh(request.outline(), request.size);
-  if (mesh_path.has_parent_path()) std::filesystem::create_directories(mesh_path.parent_path());
+  if (mesh_path.has_parent_path()) make_writable_folder(mesh_path.parent_path());
   write_obj(mesh_path, result.mesh);
   if (request.yaml) {
     write_yaml(std::filesystem::path(mesh_path).replace_extension(".yaml"), request, result,
@@ -106,7 +106,7 @@ void add_kind(CLI::App& garment, Context& context, const std::string& kind, cons
       ->check(within(1e-4, 1.0))
       ->capture_default_str();
   add_fine_options(*command, request->size, request->fine_lines);
-  command->add_flag("--yaml", request->yaml, "Write the garment's YAML (named vertices) beside the mesh, too");
+  command->add_flag("--yaml", request->yaml, "Also write the garment's YAML (named vertices) beside the mesh");
   command->callback([&context, command, request, kind] {
     request->command_line = recorded_command(*command, "weft garment " + kind);
     context.action = [&context, request] { return run_garment(context, *request); };

@@ -93,7 +93,7 @@ const Template& template_of(const std::string& kind) {
     if (kind == t.kind) return t;
     kinds.emplace_back(t.kind);
   }
-  throw ConfigError("'" + kind + "' is no kind of plugin, must be " + one_of(kinds) + nearest_hint(kind, kinds));
+  throw ConfigError("'" + kind + "' is not a kind of plugin, must be " + one_of(kinds) + nearest_hint(kind, kinds));
 }
 
 /// @throws ConfigError for a name that files, targets and configs cannot have, or that a plugin has already.
@@ -118,7 +118,7 @@ int write_plugin(const Context& context, const NewPlugin& wanted) {
   const std::string &kind = wanted.kind, &name = wanted.name;
   const fs::path folder = context.out.empty() ? fs::path(name) : fs::path(context.out);
   if (fs::exists(folder) && !(fs::is_directory(folder) && fs::is_empty(folder)))
-    throw ConfigError(folder.string() + ": exists and is no empty folder; name another one with --out");
+    throw ConfigError(folder.string() + ": exists and is not an empty folder; name another one with --out");
 
   const std::string its_class = class_name(name, chosen.suffix), weft = shell_word(tree_of_weft().string());
   const std::pair<const char*, std::string> places[] = {
@@ -147,9 +147,7 @@ int write_plugin(const Context& context, const NewPlugin& wanted) {
       {name + ".cpp", filled(fs::path(kind) / "head.in") + source},
       {"test_" + name + ".cpp", filled(fs::path(kind) / "test.cpp.in")},
   };
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (error) throw ConfigError(folder.string() + ": cannot be made: " + error.message());
+  make_writable_folder(folder);
   for (const auto& [file, text] : files) write_text(folder / file, text);
 
   const std::string source_folder = shell_word(folder.string()), build = shell_word((folder / "build").string());
@@ -164,12 +162,12 @@ int write_plugin(const Context& context, const NewPlugin& wanted) {
 
 void register_new(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand(
-      "new", "Write the sources of a new plugin: builds, has a unit test, passes the laws of its kind");
+      "new", "Write the sources of a new plugin that builds, has a unit test and passes the laws of its kind");
   auto wanted = std::make_shared<NewPlugin>();
   command->add_option("kind", wanted->kind, "simulator, predictor, trajectory or optimiser")->required();
   command->add_option("name", wanted->name, "Name of the plugin: lower-case letters, digits, underscores")->required();
   command->add_option("--out", context.out, "Folder to write, new or empty; default: the name");
-  command->add_flag("--force", wanted->force, "Also a name that a plugin of this kind has already");
+  command->add_flag("--force", wanted->force, "Accept the name of an existing plugin of this kind");
   command->add_flag("--quiet", context.quiet, "Print nothing but errors");
   command->callback(
       [&context, wanted] { context.action = [&context, wanted] { return write_plugin(context, *wanted); }; });

@@ -13,6 +13,7 @@ namespace {
 
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
+  given.saved_config();  // before any work, because it also checks the slots that the session does not use
   const auto folder =
       result_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
   const Identity identity = given.identity("run");
@@ -20,7 +21,7 @@ int run(Context& context, const std::string& file) {
 
   context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
-              " threads");
+              (given.host->threads() == 1 ? " thread" : " threads"));
   const auto progress = [&](const SessionRound& round, Index number, double) {
     char line[160];
     std::snprintf(line, sizeof(line), "segment %2td  plan %5.1f s  %2td segments to go  predicted %5.1f mm%s",
@@ -44,13 +45,18 @@ int run(Context& context, const std::string& file) {
   const std::string provenance = given.provenance(identity);
   const std::string summary = session_summary_json(result), times = session_times_json(result);
   make_result_folder(folder);
-  write_session(folder / "session.h5", result, given.task, saved,
-                provenance);  // first: it is what cannot be made again
-  write_garment(given.task, folder);
-  write_text(folder / "config.yaml", saved.to_yaml());
-  write_text(folder / "provenance.json", provenance);
-  write_text(folder / "summary.json", summary);
-  write_text(folder / "times.json", times_json(given.host->threads(), {{"summary.json", times}}));
+  // The session comes first, so that it is kept if the disk gets full.
+  const auto session = folder / "session.h5";
+  write_session(session, result, given.task, saved, provenance);
+  try {
+    write_garment(given.task, folder);
+    write_text(folder / "config.yaml", saved.to_yaml());
+    write_text(folder / "provenance.json", provenance);
+    write_text(folder / "summary.json", summary);
+    write_text(folder / "times.json", times_json(given.host->threads(), {{"summary.json", times}}));
+  } catch (const Error& error) {
+    throw Error(error.what() + ("; the session is kept in " + session.string()));
+  }
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) context.output() << with_times(summary, times);
   char line[200];
@@ -74,7 +80,8 @@ int run(Context& context, const std::string& file) {
 }  // namespace
 
 void register_run(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand("run", "Run one whole session: plan, execute, look, re-plan, release");
+  CLI::App* command =
+      app.add_subcommand("run", "Run one whole session: plan, execute a segment, observe, plan again, release");
   add_common_options(*command, context);
   add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();

@@ -36,7 +36,7 @@ int simulate(Context& context, const std::string& file) {
   const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
   make_result_folder(folder);
   const auto frames = folder / "frames";
-  std::filesystem::create_directories(frames);
+  make_writable_folder(frames);
   remove_old_frames(frames);
   Mesh mesh{run.garment->positions, run.garment->faces, run.garment->rest, run.garment->name};
   write_obj(folder / "garment.obj", mesh, true);

@@ -9,6 +9,7 @@
 #include "output.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
+#include "sdk/files.hpp"
 #include "weft/trainable.hpp"
 
 namespace weft::app {
@@ -86,6 +87,8 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   options.accept_changed = context.accept_changed;
   if (is_used) require_identity(model.string(), earlier, identity, context.accept_changed);
   const Dataset dataset = read_datasets(context, folders, given.task);
+  const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
+  make_writable_folder(out);
   char line[240];
   std::snprintf(line, sizeof(line), "training on %zu examples of %s, %zu for validation, %d threads%s",
                 dataset.select(Split::train).size(), dataset.header.garment_name.c_str(),
@@ -110,7 +113,6 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
     throw;
   }
   // The resolved config beside the results, with every default of the trained predictor.
-  const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
   const ordered_json seconds{
       {"seconds", report.seconds},
       {"iterations_per_s", static_cast<double>(report.iterations) / std::max(1e-9, report.seconds)}};
@@ -120,7 +122,7 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
              given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
   if (context.json) context.output() << with_times(report.json, seconds.dump());
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
-                report.finished ? "done" : "stopped; run the same command again to go on",
+                report.finished ? "done" : "stopped; run the same command again to continue",
                 static_cast<long long>(report.iterations), duration(report.seconds).c_str(), model.c_str());
   context.say(line);
   return report.finished ? 0 : 1;

@@ -99,7 +99,8 @@ std::shared_ptr<const PluginRegistry> registry_of_overrides(const Context& conte
 
 void add_output_options(CLI::App& command, Context& context) {
   command.add_option("--out", context.out, "Output folder or file");
-  command.add_option("--jobs", context.jobs, "Threads; 0: all cores")->check(within(0, 1024));
+  command.add_option("--jobs", context.jobs, "Threads; 0: as many as the processors that weft may use")
+      ->check(within(0, 1024));
   command.add_flag("--quiet", context.quiet, "Print nothing but errors");
   command.add_flag("--json", context.json, "Print the result as JSON");
 }

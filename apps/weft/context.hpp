@@ -21,7 +21,7 @@ struct Context {
   std::vector<std::string> overrides;  ///< --set key.path=value
   std::optional<std::uint64_t> seed;   ///< --seed
   std::string out;                     ///< --out
-  int jobs = 0;                        ///< --jobs, 0: all cores
+  int jobs = 0;                        ///< --jobs, 0: allowed_processors()
   bool accept_changed = false;         ///< --accept-changed
   bool quiet = false;
   bool json = false;

@@ -51,6 +51,7 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
   session = keep_params(given.config, describe_params<SessionParams>(), [](const ParamInfo&) { return true; });
   predictor_ = bound_predictor(place(given.config, "predictor"), task, host);
   const Planner planner(task, predictor_, host.create<Optimiser>(params.optimiser), params.planning, host);
+  if (params.refinement.plans > 0) bound_predictor(params.refinement.predictor, task, host);
   if (name == "evaluate-estimation") {
     const Estimator estimator(task, predictor_, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
                               host);

@@ -34,13 +34,6 @@ class TextFile {
   std::ofstream stream_;
 };
 
-fs::path make_folder(const fs::path& folder) {
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (!fs::is_directory(folder)) throw ConfigError(folder.string() + ": the folder cannot be made: " + error.message());
-  return folder;
-}
-
 void print_points(TextFile& out, const Positions& positions) {
   out.text("[");
   for (Index v = 0; v < positions.rows(); ++v) {
@@ -114,7 +107,7 @@ void export_usd(const fs::path& file, const SessionRecord& session, const Timeli
 }
 
 void export_obj(const fs::path& folder, const SessionRecord& session, const Timeline& timeline) {
-  make_folder(folder);
+  make_writable_folder(folder);
   for (const std::size_t frame : timeline.frames) {
     char name[32];
     std::snprintf(name, sizeof(name), "%04zu.obj", frame);
@@ -124,7 +117,7 @@ void export_obj(const fs::path& folder, const SessionRecord& session, const Time
 }
 
 void export_csv(const fs::path& folder, const SessionRecord& session, const Timeline& timeline) {
-  make_folder(folder);
+  make_writable_folder(folder);
   TextFile vertices(folder / "vertices.csv");
   vertices.text("frame,time_s,vertex,x_m,y_m,z_m\n");
   for (std::size_t k = 0; k < timeline.frames.size(); ++k) {

@@ -6,6 +6,7 @@
 
 #include "identity/sha256.hpp"
 #include "report/page.hpp"
+#include "sdk/files.hpp"
 #include "weft_commit.hpp"
 
 namespace weft::app {
@@ -25,12 +26,7 @@ fs::path result_folder(const Context& context, const std::string& name) {
   return folder;
 }
 
-void make_result_folder(const fs::path& folder) {
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (!fs::is_directory(folder))
-    throw ConfigError("--out " + folder.string() + ": the folder cannot be made: " + error.message());
-}
+void make_result_folder(const fs::path& folder) { make_writable_folder(folder); }
 
 void require_unmixed(const Context& context, const fs::path& folder, const Identity& now) {
   const fs::path file = folder / "provenance.json";

@@ -99,12 +99,12 @@ TEST_F(Export, RecordsTheReleaseAndTheSettling) {
 TEST_F(Export, SessionRecordsWherePlansWouldTakeTheHands) {
   // The first segment of each plan was executed, so the held vertices followed it.
   for (Index r = 0; r < session_->segments(); ++r) {
-    const auto& round = session_->rounds[static_cast<std::size_t>(r)];
+    const auto& round = session_->rounds[r];
     ASSERT_EQ(static_cast<Index>(round.targets.size()), round.controls.rows() * kFramesPerSegment);
     for (Index f = 0; f < kFramesPerSegment; ++f) {
       const Positions& shape = frame(static_cast<std::size_t>(session_->segment_frame(r) + f + 1));
       for (std::size_t hand = 0; hand < 2; ++hand) {
-        const auto target = round.targets[static_cast<std::size_t>(f)].row(static_cast<Index>(hand));
+        const auto target = round.targets[f].row(hand);
         EXPECT_LT((shape.row(session_->grasp_vertices[hand]) - target).norm(), 1e-6) << r << " " << f;
       }
     }
@@ -114,10 +114,10 @@ TEST_F(Export, SessionRecordsWherePlansWouldTakeTheHands) {
 
 /// Numbers of an accessor, [count, components].
 Controls numbers_of(const tinygltf::Model& model, int accessor_index) {
-  const auto& accessor = model.accessors.at(static_cast<std::size_t>(accessor_index));
+  const auto& accessor = model.accessors.at(accessor_index);
   EXPECT_EQ(accessor.componentType, TINYGLTF_COMPONENT_TYPE_FLOAT);
-  const auto& view = model.bufferViews.at(static_cast<std::size_t>(accessor.bufferView));
-  const auto& buffer = model.buffers.at(static_cast<std::size_t>(view.buffer)).data;
+  const auto& view = model.bufferViews.at(accessor.bufferView);
+  const auto& buffer = model.buffers.at(view.buffer).data;
   const auto columns =
       static_cast<std::size_t>(tinygltf::GetNumComponentsInType(static_cast<std::uint32_t>(accessor.type)));
   std::vector<float> values(accessor.count * columns);
@@ -133,8 +133,7 @@ void check_gltf(const tinygltf::Model& model, const SessionRecord& session) {
   const auto& primitive = model.meshes[0].primitives.at(0);
   const Controls base = numbers_of(model, primitive.attributes.at("POSITION"));
   ASSERT_EQ(base.rows(), session.vertex_count());
-  EXPECT_EQ(model.accessors.at(static_cast<std::size_t>(primitive.indices)).count,
-            static_cast<std::size_t>(session.faces.size()));
+  EXPECT_EQ(model.accessors.at(primitive.indices).count, static_cast<std::size_t>(session.faces.size()));
   ASSERT_EQ(model.animations.size(), 1u);
   const auto& sampler = model.animations[0].samplers.at(0);
   const Controls times = numbers_of(model, sampler.input);
@@ -147,8 +146,7 @@ void check_gltf(const tinygltf::Model& model, const SessionRecord& session) {
     Controls shape = base;
     for (Index t = 0; t < targets; ++t) {
       const double weight = weights(k * targets + t, 0);
-      if (weight != 0.0)
-        shape += weight * numbers_of(model, primitive.targets[static_cast<std::size_t>(t)].at("POSITION"));
+      if (weight != 0.0) shape += weight * numbers_of(model, primitive.targets[t].at("POSITION"));
     }
     const auto recorded = static_cast<std::size_t>(std::lround(times(k, 0) / kFrameSeconds));
     EXPECT_LT((shape - session.frames.at(recorded)).cwiseAbs().maxCoeff(), 1e-6) << "key " << k;
@@ -156,7 +154,7 @@ void check_gltf(const tinygltf::Model& model, const SessionRecord& session) {
   const Controls goal = numbers_of(model, model.meshes[1].primitives.at(0).attributes.at("POSITION"));
   EXPECT_LT((goal - session.goal).cwiseAbs().maxCoeff(), 1e-6);
   // z up becomes y up.
-  const auto& root = model.nodes.at(static_cast<std::size_t>(model.scenes.at(0).nodes.at(0)));
+  const auto& root = model.nodes.at(model.scenes.at(0).nodes.at(0));
   const Eigen::Quaterniond turn(root.rotation.at(3), root.rotation.at(0), root.rotation.at(1), root.rotation.at(2));
   EXPECT_LT((turn * Eigen::Vector3d::UnitZ() - Eigen::Vector3d::UnitY()).norm(), 1e-12);
 }
@@ -208,8 +206,7 @@ TEST_F(Export, CsvHoldsVerticesAndSegments) {
     const Index vertex = std::stol(row.at(2));
     frames += vertex == 0;
     EXPECT_NEAR(std::stod(row.at(1)), static_cast<double>(index) * kFrameSeconds, 1e-4);
-    for (Index axis = 0; axis < 3; ++axis)
-      EXPECT_NEAR(std::stod(row.at(static_cast<std::size_t>(3 + axis))), frame(index)(vertex, axis), 1e-6);
+    for (Index axis = 0; axis < 3; ++axis) EXPECT_NEAR(std::stod(row.at(3 + axis)), frame(index)(vertex, axis), 1e-6);
   }
   EXPECT_GE(frames, 3u);
   EXPECT_EQ(vertices.size() - 1, frames * static_cast<std::size_t>(session_->vertex_count()));
@@ -259,8 +256,7 @@ TEST_F(Export, UsdHoldsPointsOverTime) {
   EXPECT_EQ(std::count(text.begin(), text.end(), '{'), std::count(text.begin(), text.end(), '}'));
   const auto compare = [](const std::vector<Eigen::Vector3d>& points, const Positions& wanted) {
     ASSERT_EQ(static_cast<Index>(points.size()), wanted.rows());
-    for (Index v = 0; v < wanted.rows(); ++v)
-      EXPECT_LT((points[static_cast<std::size_t>(v)] - wanted.row(v).transpose()).norm(), 1e-6);
+    for (Index v = 0; v < wanted.rows(); ++v) EXPECT_LT((points[v] - wanted.row(v).transpose()).norm(), 1e-6);
   };
   compare(usd_points(text, "48: "), frame(48));
   compare(usd_points(text, std::to_string(session_->frames.size() - 1) + ": "), session_->frames.back());

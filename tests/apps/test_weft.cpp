@@ -532,15 +532,15 @@ TEST(Program, NewRefusesWhatItCannotWrite) {
   };
   const std::string out = " --out '" + (folder / "new").string() + "'";
   refused("trajektory swing" + out,
-          "'trajektory' is no kind of plugin, must be one of simulator, predictor, trajectory, ");
+          "'trajektory' is not a kind of plugin, must be one of simulator, predictor, trajectory, ");
   refused("trajektory swing" + out, "; nearest: trajectory\n");
   for (const std::string name : {"Swing", "3d", "_swing", "my-swing", "'my swing'", "../swing"})
     refused("trajectory " + name + out,
             "cannot be the name of a plugin, must be a lower-case letter and then at most 62 ");
   refused("trajectory " + std::string(64, 'a') + out, "cannot be the name of a plugin");
   refused("trajectory arc" + out, "there is already a trajectory plugin called arc: ");
-  refused("trajectory swing --out '" + (folder / "full").string() + "'", "full: exists and is no empty folder");
-  refused("trajectory swing --out '" + (folder / "file").string() + "'", "file: exists and is no empty folder");
+  refused("trajectory swing --out '" + (folder / "full").string() + "'", "full: exists and is not an empty folder");
+  refused("trajectory swing --out '" + (folder / "file").string() + "'", "file: exists and is not an empty folder");
   refused("trajectory swing --out '" + (folder / "file/new").string() + "'", "file/new: ");
   EXPECT_FALSE(std::filesystem::exists(folder / "new"));
   EXPECT_EQ(text_of(folder / "full/notes.txt"), "mine");

@@ -239,7 +239,7 @@ std::vector<Controls> draws(const RandomControlsParams& params, int count, Index
     Controls controls = random_controls(arc, horizon, params, random);
     EXPECT_EQ(controls.rows(), horizon);
     for (Index c = 0; c < controls.cols(); ++c) {
-      const auto& v = variables[static_cast<std::size_t>(c)];
+      const auto& v = variables[c];
       EXPECT_GE(controls.col(c).minCoeff(), v.lower);
       EXPECT_LE(controls.col(c).maxCoeff(), v.upper);
       controls.col(c) /= c == 0 ? v.default_value : v.scale;
@@ -320,7 +320,7 @@ TEST(RandomControls, DefaultsMakeShortAndLongFolds) {
     const Controls controls = random_controls(arc, 25, {}, random);
     EXPECT_EQ(random_controls(arc, 25, {}, again), controls);
     const Index u = arc.release_segment(m, arc.initial_state(m), controls);
-    ++folds.at(static_cast<std::size_t>(u));
+    ++folds.at(u);
     unreleased += !arc.released(arc.segment_states(m, arc.initial_state(m), controls).row(u - 1).transpose());
   }
   // The default takes 8 segments. From half of that to three times as many, nothing in between left out.

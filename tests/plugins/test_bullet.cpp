@@ -128,7 +128,7 @@ TEST(BulletContact, WhatItRemembersChangesNothing) {
   const auto shape = [&](double angle) {
     std::vector<Eigen::Vector3d> x(n);
     for (std::size_t i = 0; i < n; ++i) {
-      const Eigen::Vector3d flat = towel.positions.row(static_cast<Index>(i)).transpose();
+      const Eigen::Vector3d flat = towel.positions.row(i).transpose();
       const double arm = flat.x() - middle;
       x[i] =
           arm < 0.0 ? flat : Eigen::Vector3d(middle + arm * std::cos(angle), flat.y(), arm * std::sin(angle) + 0.003);

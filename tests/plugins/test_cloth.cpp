@@ -2,6 +2,7 @@
 // test_cloth_physics.cpp.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <Eigen/Geometry>
 
 #include <atomic>
 #include <cmath>
@@ -11,6 +12,7 @@
 
 // Compiled in, so that the parts can be reached (with -march as the plugin).
 #include "meshes/intersections.hpp"
+#include "simulator/cloth/bending_patch.cpp"
 #include "simulator/cloth/cloth.cpp"
 #include "simulator/cloth/contact.cpp"
 #include "simulator/cloth/contact_search.cpp"
