@@ -25,7 +25,7 @@ int* volatile nowhere = nullptr;
 [[gnu::noinline]] int descend(int depth) {  // NOLINT(misc-no-recursion)
   volatile char block[4096];
   block[0] = static_cast<char>(depth);
-  return descend(depth + 1) + block[0];
+  return nothing == 0 ? descend(depth + 1) + block[0] : block[0];
 }
 [[gnu::noinline]] void turn_for_ever() {
   while (nothing == 0) continue;

@@ -4,6 +4,7 @@
 
 #include "test_objectives.hpp"
 #include "trajectory/arc/arc.cpp"
+#include "trajectory/spline/least_squares.cpp"
 #include "trajectory/spline/spline.cpp"
 
 namespace weft::spline {
