@@ -69,7 +69,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   const Identity identity = given.identity("generate", decides_examples);
   const DatasetHeader header = header_to_add(
       make_dataset_header(given.task, given.params.data, given.seed, saved, given.provenance(identity), identity),
-      options.folder, context.accept_changed);
+      identity, options.folder, context.accept_changed);
   // Nothing was refused, so from here on the folder changes. The config of a folder with shards is that of the first.
   make_result_folder(options.folder);
   if (const auto config = options.folder / "config.yaml";

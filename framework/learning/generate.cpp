@@ -47,10 +47,10 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
   return h;
 }
 
-DatasetHeader header_to_add(const DatasetHeader& header, const fs::path& folder, bool accept_changed) {
+DatasetHeader header_to_add(const DatasetHeader& header, const Identity& identity, const fs::path& folder,
+                            bool accept_changed) {
   DatasetHeader result = header;
   if (!fs::is_directory(folder)) return result;
-  const Identity now = identity_in(header.provenance, folder.string());
   bool is_first = true;
   for (const auto& file : list_shards(folder)) {
     DatasetHeader there;
@@ -59,7 +59,7 @@ DatasetHeader header_to_add(const DatasetHeader& header, const fs::path& folder,
     } catch (const ConfigError&) {
       continue;  // damaged: it is made again
     }
-    const auto changes = now.changes_since(identity_in(there.provenance, file.string()));
+    const auto changes = identity.changes_since(identity_in(there.provenance, file.string()));
     if (!changes.empty() && !accept_changed) throw ConfigError(changed_message(file.string(), changes));
     const auto form = [](const DatasetHeader& h) {
       return std::tie(h.seed, h.garment_hash, h.vertices, h.hands, h.shard_examples, h.control_names, h.state_names,

@@ -50,7 +50,9 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
 /// the name of the dataset that is there. Changes nothing on the disk.
 /// @throws ConfigError naming what differs between the folder's examples and `header`, unless it is accepted; also if
 /// seed, garment, trajectory or the form of the files differ, which cannot be accepted.
-DatasetHeader header_to_add(const DatasetHeader& header, const std::filesystem::path& folder, bool accept_changed);
+/// @param identity of `header`.
+DatasetHeader header_to_add(const DatasetHeader& header, const Identity& identity, const std::filesystem::path& folder,
+                            bool accept_changed);
 struct GenerateOptions {
   std::int64_t examples = 0;
   std::filesystem::path folder;

@@ -158,9 +158,7 @@ TEST(Identity, EveryCommandRefusesAUsedFolder) {
     EXPECT_TRUE(tree_of(out) == before) << command << "changed the folder";
     const Outcome accepted = weft_command(command + "--accept-changed --quiet --out " + quoted(out));
     EXPECT_LE(accepted.code, 1) << command << accepted.output;
-    EXPECT_NE(tree_of(out).at("provenance.json") + tree_of(out).at("times.json"),
-              before.at("provenance.json") + before.at("times.json"))
-        << command;
+    EXPECT_FALSE(tree_of(out) == before) << command;
   }
   // And what another command wrote.
   const Outcome other = weft_command(commands[0] + "--out " + quoted(files.folder / "used"));
@@ -178,7 +176,7 @@ TEST(Identity, EqualRunsWriteEqualFiles) {
     EXPECT_LE(weft_command(command + " --quiet --jobs 1 --out " + quoted(a)).code, 1) << command;
     EXPECT_LE(weft_command(command + " --quiet --jobs 2 --out " + quoted(b)).code, 1) << command;
     const auto one = without_times(tree_of(a)), two = without_times(tree_of(b));
-    EXPECT_GE(one.size(), 4u) << command;
+    EXPECT_GE(one.size(), 3u) << command;
     for (const auto& [name, content] : one) {
       ASSERT_TRUE(two.contains(name)) << command << ": " << name;
       EXPECT_TRUE(two.at(name) == content) << command << ": " << name << " differs";
