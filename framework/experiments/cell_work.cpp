@@ -88,7 +88,7 @@ std::shared_ptr<const PluginRegistry> registry_of_request(const std::string& tex
 
 std::string cell_request(const CellWork& work, const ConfigNode& cell, const PluginRegistry& registry) {
   ordered_json request{{"kind", work.kind}, {"config", located_json(cell)}};
-  for (const auto& folder : registry.search_path()) request["plugin_path"].push_back(fs::absolute(folder).string());
+  request["plugin_path"] = searched_folders(registry);
   if (work.kind == "planning" || work.kind == "estimation") {
     request["folder"] = fs::absolute(work.folder).string();
     request["source"] = work.cases.source;
@@ -144,9 +144,13 @@ std::string CellServer::answer(const std::string& text) {
   } catch (...) {
     failure = current_failure();
   }
-  return ordered_json{{"status", to_string(failure.status)},       {"failure", failure.message},
-                      {"metrics", exact_numbers(outcome.metrics)}, {"paired_by", outcome.paired_by},
-                      {"schema", outcome.payload.schema},          {"payload", outcome.payload.json}}
+  return ordered_json{{"status", to_string(failure.status)},
+                      {"failure", failure.message},
+                      {"metrics", exact_numbers(outcome.metrics)},
+                      {"times", exact_numbers(outcome.times)},
+                      {"paired_by", outcome.paired_by},
+                      {"schema", outcome.payload.schema},
+                      {"payload", outcome.payload.json}}
       .dump(-1, ' ', true, kReplace);
 }
 

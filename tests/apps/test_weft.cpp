@@ -151,7 +151,7 @@ TEST(Program, ImportsAGarmentWithATaskThatFolds) {
     EXPECT_TRUE(std::filesystem::exists(folder / "out" / std::string(name))) << name;
   EXPECT_EQ(nlohmann::json::parse(text_of(folder / "out/import.json")).at("vertex_of").size(), 49u);
   EXPECT_THAT(text_of(folder / "out/my_sheet.yaml"),
-              HasSubstr("# Made by: weft garment import my sheet.obj --name middle="));
+              HasSubstr("# Made by: weft garment import my sheet.obj --out out --name middle="));
   const Outcome run =
       weft_command("run '" + out +
                    "/my_sheet_fold.yaml' --seed 1 --set planning.instances=1 --set "
@@ -185,7 +185,7 @@ TEST(Program, AnImportThatCannotBeFoldedSaysSoAndExitsWithOne) {
   }
   tube += "f 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
   const std::string file = folder.write("tube.obj", tube).string();
-  const Outcome import = weft_command("garment import '" + file + "' --out '" + (folder / "out").string() + "'");
+  const Outcome import = weft_command("garment import '" + file + "' --fill 0 --out '" + (folder / "out").string() + "'");
   EXPECT_EQ(import.code, 1);
   EXPECT_THAT(import.output,
               AllOf(HasSubstr("error: imported, but weft cannot fold it yet, so there is no task: not flat"),

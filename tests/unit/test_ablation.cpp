@@ -129,7 +129,7 @@ TEST(AblationPlan, PhysicsCasesTakeThePlaceOfSeeds) {
             "folds, seeds 31 to 40");
   SweepRow row{1, 1, "", {{{"rest: motion m", 1e-7}}, "rest"}};
   EXPECT_EQ(ablation_csv(two, {row}),
-            "simulator,seed,case,status,rest: motion m,failure\nb,1,\"" + two.cases[1] + "\",done,1e-07,\n");
+            "simulator,seed,case,status,rest: motion m,failure,identity\nb,1,\"" + two.cases[1] + "\",done,1e-07,,\n");
 
   const auto refusal = [&](const std::string& rest) { return message_of<ConfigError>([&] { plan(rest); }); };
   EXPECT_THAT(refusal(simulators + "seeds: [1]\n"), HasSubstr("runs the cases of the suite"));
