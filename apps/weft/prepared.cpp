@@ -22,6 +22,7 @@ std::filesystem::path model_file(const Context& context, const std::string& comm
 
 Identity learning_identity(const Prepared<ExperimentParams>& given, const std::string& command,
                            const std::vector<std::string>& folders) {
+  for (const auto& folder : folders) list_shards(folder);  // says what is wrong with it
   std::set<std::string> keys{"predictor", "seed"};
   for (const auto& info : describe_params<TaskParams>())
     if (info.name != "simulator") keys.insert(info.name);

@@ -321,7 +321,7 @@ TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhereThatIsAccepted) {
   const Folder folder;
   const auto data = folder / "data";
   const std::string generate = "generate '" + kConfig + "' --quiet --out " + quoted(data);
-  ASSERT_EQ(weft_command(generate + " --examples 2").code, 0);
+  ASSERT_EQ(weft_command(generate + " --examples 16").code, 0);
   Shard shard = read_shard(data / "shard-00000.h5");
   const std::string added = "    inertia_length_m: 0\n";
   const auto at = shard.header.config.find(added);

@@ -88,7 +88,7 @@ TEST_F(EnvironmentCommand, AProcessThatDiesIsNamedWithItsEnd) {
                                    HasSubstr("ended with exit code 1 before it answered observe")));
   const Outcome killed = run_with("import os, signal; os.kill(os.getpid(), signal.SIGKILL)");
   EXPECT_EQ(killed.code, 1);
-  EXPECT_THAT(killed.output, HasSubstr("was ended by signal 9 (Killed) before it answered observe"));
+  EXPECT_THAT(killed.output, HasSubstr("was ended by SIGKILL (Killed) before it answered observe"));
   EXPECT_FALSE(has_results("broken"));
 }
 

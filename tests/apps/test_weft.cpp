@@ -185,7 +185,8 @@ TEST(Program, AnImportThatCannotBeFoldedSaysSoAndExitsWithOne) {
   }
   tube += "f 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
   const std::string file = folder.write("tube.obj", tube).string();
-  const Outcome import = weft_command("garment import '" + file + "' --fill 0 --out '" + (folder / "out").string() + "'");
+  const Outcome import =
+      weft_command("garment import '" + file + "' --fill 0 --out '" + (folder / "out").string() + "'");
   EXPECT_EQ(import.code, 1);
   EXPECT_THAT(import.output,
               AllOf(HasSubstr("error: imported, but weft cannot fold it yet, so there is no task: not flat"),
