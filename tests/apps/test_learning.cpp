@@ -175,7 +175,7 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   const auto warnings = [&](const std::string& what, const std::string& data) {
     const Outcome outcome = weft_command("evaluate " + what + " --quiet --data " + quoted(folder / data) +
                                          " --set predictor.params.model=" + quoted(folder / "a/model.h5") + " --out " +
-                                         quoted(folder / ("warned-" + data)));
+                                         quoted(folder / ("warned-" + data + what.substr(0, what.find(' ')))));
     EXPECT_EQ(outcome.code, 0) << outcome.output;
     return outcome.output;
   };
@@ -250,10 +250,10 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
 
   // The new model works, and its file names the data of its calibration.
   const auto warnings = [&](const std::filesystem::path& of, const std::string& split) {
-    const Outcome outcome =
-        weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) +
-                     " --set evaluation.baselines=false --set evaluation.split=" + split +
-                     " --set predictor.params.model=" + quoted(of) + " --out " + quoted(folder / "e"));
+    const Outcome outcome = weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(fresh) +
+                                         " --set evaluation.baselines=false --set evaluation.split=" + split +
+                                         " --set predictor.params.model=" + quoted(of) + " --out " +
+                                         quoted(folder / ("e-" + split + "-" + of.stem().string())));
     EXPECT_EQ(outcome.code, 0) << outcome.output;
     return outcome.output;
   };
