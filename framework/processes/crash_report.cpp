@@ -46,7 +46,7 @@ std::atomic<int> report_file = -1;
 std::atomic<WhereWriter> where_writer = nullptr;
 std::atomic<int> watches = 0;
 std::atomic<bool> reported = false;
-char line[2048];  // what write_line() prints if the nicer text cannot be made
+char plain_line[2048];  // what write_line() prints if the nicer text cannot be made
 
 template <std::size_t N>
 void copy_text(char (&to)[N], const char* from) {
@@ -164,7 +164,7 @@ void write_all(int file, const char* bytes, std::size_t size) {
 
 std::atomic<int> ends_with = 0;
 void print_line_and_end(int) {
-  write_all(STDERR_FILENO, line, std::strlen(line));
+  write_all(STDERR_FILENO, plain_line, std::strlen(plain_line));
   end_as(ends_with);
 }
 
@@ -180,7 +180,7 @@ void write_report(int signal, int exit_code, const void* crashed_at) {
   static char what[80], place[1400];
   print_signal(report, what, sizeof(what));
   print_place(report, report.function, place, sizeof(place));
-  std::snprintf(line, sizeof(line), "error: %s in %s\n", what, place);
+  std::snprintf(plain_line, sizeof(plain_line), "error: %s in %s\n", what, place);
   // Names that people can read take memory from the heap. If that fails, the line above is printed.
   ends_with = signal == 0 ? SIGABRT : signal;
   struct sigaction plain {};
