@@ -63,8 +63,8 @@ def rows_of(folder):
     return rows
 
 
-def ablate(weft, file, out, *options):
-    command = [weft, "ablate", str(file), "--out", str(out), "--quiet", "--jobs", "1", *options]
+def ablate(weft, file, out, *options, jobs=1):
+    command = [weft, "ablate", str(file), "--out", str(out), "--quiet", "--jobs", str(jobs), *options]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
@@ -111,7 +111,7 @@ def main():
         file.write_text(ABLATION % (options.cells // 2))
         cells = options.cells // 2 * 2
 
-        calm = ablate(options.weft, file, folder / "calm", "--jobs", str(os.cpu_count()))
+        calm = ablate(options.weft, file, folder / "calm", jobs=os.cpu_count())
         _, errors = calm.communicate()
         if calm.returncode != 0:
             print(f"the undisturbed sweep failed with {calm.returncode}: {errors}")
