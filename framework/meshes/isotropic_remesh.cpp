@@ -275,9 +275,9 @@ class Remesher {
       if (is_line(a, b)) continue;
       const auto faces = faces_at(a, b);
       if (faces.size() != 2) continue;
-      const auto opposite = [&](int f) {
+      const auto opposite = [&, one = a, other = b](int f) {
         for (const int v : f_[at(f)]) {
-          if (v != a && v != b) return v;
+          if (v != one && v != other) return v;
         }
         return -1;
       };

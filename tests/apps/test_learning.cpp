@@ -97,7 +97,7 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
       weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(whole) +
                    " --set predictor.params.model=" + quoted(folder / "a/model.h5") + " --out " + quoted(folder / "e"));
   ASSERT_EQ(evaluated.code, 0) << evaluated.output;
-  const auto figures = nlohmann::json::parse(bytes_of(folder / "e/prediction.json"));
+  const auto figures = nlohmann::json::parse(bytes_of(folder / ("e-all-" + model.stem().string()) / "prediction.json"));
   const double error = figures.at("settled").at("from_start").at("mean_mm");
   EXPECT_LT(error, figures.at("baselines").at("persistence").at("mean_mm").get<double>());
   EXPECT_LT(error, figures.at("baselines").at("mean_shape").at("mean_mm").get<double>());
@@ -262,7 +262,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_THAT(warnings(out, "test"), Not(HasSubstr("warning")));
   EXPECT_THAT(warnings(out, "all"), HasSubstr("of the 24 examples may be those that its sigma was calibrated on"));
   EXPECT_THAT(warnings(model, "all"), Not(HasSubstr("warning")));
-  const auto every = nlohmann::json::parse(bytes_of(folder / "e/prediction.json"));
+  const auto every = nlohmann::json::parse(bytes_of(folder / ("e-all-" + model.stem().string()) / "prediction.json"));
   EXPECT_EQ(every.at("by_step")[0].at("n"), 24);
   // All of several datasets are read.
   const Outcome both =
