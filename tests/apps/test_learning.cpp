@@ -97,7 +97,7 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
       weft_command("evaluate prediction '" + kConfig + "' --quiet --data " + quoted(whole) +
                    " --set predictor.params.model=" + quoted(folder / "a/model.h5") + " --out " + quoted(folder / "e"));
   ASSERT_EQ(evaluated.code, 0) << evaluated.output;
-  const auto figures = nlohmann::json::parse(bytes_of(folder / ("e-all-" + model.stem().string()) / "prediction.json"));
+  const auto figures = nlohmann::json::parse(bytes_of(folder / "e/prediction.json"));
   const double error = figures.at("settled").at("from_start").at("mean_mm");
   EXPECT_LT(error, figures.at("baselines").at("persistence").at("mean_mm").get<double>());
   EXPECT_LT(error, figures.at("baselines").at("mean_shape").at("mean_mm").get<double>());
