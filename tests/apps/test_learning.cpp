@@ -295,7 +295,7 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_THAT(refused(command + "--out " + quoted(folder / "x.h5")), HasSubstr("--data FOLDER is required"));
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(model)), HasSubstr("is the model to calibrate"));
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(model / "x.h5")),
-              HasSubstr("the folder cannot be made: Not a directory"));
+              HasSubstr("its folder cannot be made: it is a file"));
   std::filesystem::create_directory(folder / "folder.h5");
   EXPECT_THAT(refused(with_fresh + " --out " + quoted(folder / "folder.h5")), HasSubstr("is a folder"));
   const std::string to_x = " --out " + quoted(folder / "x.h5");
