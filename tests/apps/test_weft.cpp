@@ -211,6 +211,8 @@ TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {
   EXPECT_THAT(refused(range.string()), HasSubstr("range.yaml:3: planning.instances = 0, must be in [1, 4096]"));
   const auto plugin = folder.write("plugin.yaml", "extends: " + kTask + "\ntrajectory: {plugin: ark}\n");
   EXPECT_THAT(refused(plugin.string()), AllOf(HasSubstr("plugin.yaml:2: "), HasSubstr("'ark'; nearest: arc")));
+  const auto unused = folder.write("unused.yaml", "extends: " + kTask + "\nrefinement: {predictor: rolout}\n");
+  EXPECT_THAT(refused(unused.string()), AllOf(HasSubstr("unused.yaml:2: "), HasSubstr("'rolout'; nearest: rollout")));
   const auto yaml = folder.write("yaml.yaml", "a: [1\n");
   EXPECT_THAT(refused(yaml.string()), AllOf(HasSubstr("yaml.yaml:"), HasSubstr("not valid YAML")));
   EXPECT_THAT(refused(kTask, "--set planning.instances=none"),
@@ -248,6 +250,34 @@ TEST(Program, ASavedConfigRepeatsTheRunBitForBit) {
     EXPECT_EQ(first.shape(array), again.shape(array)) << array;
     EXPECT_EQ(first.read(array), again.read(array)) << array;
   }
+}
+
+TEST(Program, ASessionThatCannotBeWrittenIsAnErrorWithTheReason) {
+  const Folder folder;
+  const auto task = folder.write(
+      "task.yaml", kTowelTask + "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n");
+  const std::string run = "'" WEFT_PROGRAM "' run '" + task.string() + "' --quiet --out '";
+  // A limit on the size of files, here 4 KiB, fails as a full disk does.
+  const Outcome limited =
+      test::run_shell("unset WEFT_PLUGIN_PATH; trap '' XFSZ; ulimit -f 8; " + run + (folder / "out").string() + "'");
+  EXPECT_EQ(limited.code, 1);
+  EXPECT_THAT(limited.output,
+              HasSubstr("error: " + (folder / "out/session.h5").string() + ": cannot be written: File too large"));
+  EXPECT_TRUE(std::filesystem::is_empty(folder / "out"));
+  const Outcome nowhere = test::run_shell("unset WEFT_PLUGIN_PATH; " + run + "/proc/self/out'");
+  EXPECT_EQ(nowhere.code, 2);
+  EXPECT_THAT(nowhere.output, HasSubstr("error: /proc/self/out: the folder cannot be made: "));
+}
+
+TEST(Program, ThreadsAreThoseOfTheProcessorsItMayUse) {
+  const Folder folder;
+  const auto task = folder.write(
+      "task.yaml", kTowelTask + "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n");
+  const Outcome run = test::run_shell(
+      "unset WEFT_PLUGIN_PATH; taskset -c $(taskset -cp $$ | sed 's/.*: //; s/[-,].*//') '" WEFT_PROGRAM "' run '" +
+      task.string() + "' --out '" + (folder / "out").string() + "'");
+  ASSERT_EQ(run.code, 0) << run.output;
+  EXPECT_THAT(run.output, HasSubstr(", 1 thread\n"));
 }
 
 TEST(Program, PlanAndEstimateAloneDoWhatTheSessionDid) {
@@ -300,6 +330,11 @@ TEST(Program, TheShippedTaskFoldsWithTheShippedModel) {
   // The error was 1.2 mm when the model was made. A damaged or foreign model ends tens of millimetres off.
   EXPECT_LT(summary["error_mm"].get<double>(), 10.0);
   EXPECT_GT(summary["default_error_mm"].get<double>(), 40.0);
+  // The plugins that it used. The config names more: the refinement's rollout, the estimator's optimiser.
+  std::string used;
+  for (const auto& plugin : nlohmann::json::parse(text_of(folder / "provenance.json"))["plugins"])
+    used += plugin["kind"].get<std::string>() + "/" + plugin["name"].get<std::string>() + " ";
+  EXPECT_EQ(used, "optimiser/rprop predictor/emd simulator/cloth trajectory/arc ");
 }
 
 TEST(Program, EvaluatePhysicsWritesWhatItPrints) {

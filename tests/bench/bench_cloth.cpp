@@ -46,8 +46,8 @@ const Task& task_of(std::int64_t edge_um) {
     const GeneratedMesh mesh = generate_mesh(shirt_outline({}), {.edge_m = 1e-6 * static_cast<double>(edge_um)});
     task.garment = std::make_shared<const Garment>(make_garment(mesh.mesh, "tshirt", mesh.vertices));
     for (Index hand = 0; hand < 2; ++hand) {
-      const Index vertex = task.garment->vertex(params.manipulation.grasp[static_cast<std::size_t>(hand)]);
-      task.manipulation.grasp_vertices[static_cast<std::size_t>(hand)] = vertex;
+      const Index vertex = task.garment->vertex(params.manipulation.grasp[hand]);
+      task.manipulation.grasp_vertices[hand] = vertex;
       task.manipulation.grasp_points.row(hand).head<2>() = task.garment->positions.row(vertex).head<2>();
     }
   }
@@ -227,8 +227,7 @@ void bullet(benchmark::State& state) {
     for (const Positions& targets : path)
       for (int k = 0; k < kSubsteps; ++k) {
         for (Index hand = 0; hand < targets.rows(); ++hand) {
-          auto& node =
-              body->m_nodes[static_cast<int>(task.manipulation.grasp_vertices[static_cast<std::size_t>(hand)])];
+          auto& node = body->m_nodes[static_cast<int>(task.manipulation.grasp_vertices[hand])];
           const btVector3 target(static_cast<btScalar>(targets(hand, 0)), static_cast<btScalar>(targets(hand, 1)),
                                  static_cast<btScalar>(targets(hand, 2)));
           node.m_v = (target - node.m_x) / (kStep * static_cast<btScalar>(kSubsteps - k));

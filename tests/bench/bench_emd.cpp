@@ -128,12 +128,11 @@ class Timed final : public Objective {
     e.gradients.resize(dim(), x.cols());
     std::vector<PredictionCase> cases(bench_.cases.begin(), bench_.cases.begin() + x.cols());
     for (Index i = 0; i < x.cols(); ++i)
-      cases[static_cast<std::size_t>(i)].controls =
-          Eigen::Map<const Controls>(x.col(i).data(), controls_.rows(), controls_.cols());
+      cases[i].controls = Eigen::Map<const Controls>(x.col(i).data(), controls_.rows(), controls_.cols());
     const auto prediction = bench_.predictor.predict(cases, {.moments = Moments::mean, .gradients = true});
     const auto gradients = prediction->pullback(bench_.cotangents);
     for (Index i = 0; i < x.cols(); ++i)
-      e.gradients.col(i) = Eigen::Map<const Vector>(gradients[static_cast<std::size_t>(i)].controls.data(), dim());
+      e.gradients.col(i) = Eigen::Map<const Vector>(gradients[i].controls.data(), dim());
     cpu_seconds += cpu() - cpu_before;
     wall_seconds += wall() - wall_before;
     return e;
@@ -181,10 +180,10 @@ void network_alone(benchmark::State& state) {
   const Index rows = state.range(0), segments = state.range(1), n = model.dimensions.coordinates();
   emd::Block block;
   block.rows = rows;
-  block.steps.assign(static_cast<std::size_t>(rows), segments);
-  block.shape.assign(static_cast<std::size_t>(rows * n), 0.1f);
+  block.steps.assign(rows, segments);
+  block.shape.assign(rows * n, 0.1f);
   block.change.assign(block.shape.size(), 0.0f);
-  block.inputs.assign(static_cast<std::size_t>(rows * segments * model.dimensions.inputs()), 0.1f);
+  block.inputs.assign(rows * segments * model.dimensions.inputs(), 0.1f);
   for (Index r = 0; r < rows; ++r) block.wanted.push_back({r, segments});
   std::vector<float> mean(block.shape.size()), d_mean(mean.size(), 1.0f), d_inputs(block.inputs.size());
   std::vector<float> d_shape(mean.size()), d_change(mean.size());

@@ -349,7 +349,7 @@ TEST(EmdSigmaLayer, IsFittedAnewAndNoMeanMoves) {
   Params params = fitted(folder, task, 300);
   Model wrong = load_model(params.model);
   const Layout layout(wrong.architecture, wrong.dimensions);
-  const auto& bias = layout.weights[static_cast<std::size_t>(layout.sigma_bias)];
+  const auto& bias = layout.weights[layout.sigma_bias];
   for (std::size_t c = 0; c < bias.size(); ++c)
     wrong.weights[bias.offset + c] = round_to_half(wrong.weights[bias.offset + c] + (c % 3 == 0   ? -0.5f
                                                                                      : c % 3 == 2 ? 0.5f
@@ -377,7 +377,7 @@ TEST(EmdSigmaLayer, IsFittedAnewAndNoMeanMoves) {
   EXPECT_NEAR(slant(after), slant(truth), 0.2);
   Model back = load_model(folder / "right.h5");
   EXPECT_TRUE(fits_half(back));
-  const auto& matrix = layout.weights[static_cast<std::size_t>(layout.sigma)];
+  const auto& matrix = layout.weights[layout.sigma];
   for (const auto* of : {&bias, &matrix})
     std::copy_n(wrong.weights.begin() + static_cast<std::ptrdiff_t>(of->offset), of->size(),
                 back.weights.begin() + static_cast<std::ptrdiff_t>(of->offset));

@@ -97,7 +97,7 @@ TEST(EmdNetwork, AgreesWithAutogradForEverySwitch) {
     block.wanted = {{0, 2}, {0, 6}, {1, 4}, {2, 1}, {3, 1}};
     RandomStream random(5);
     const auto fill = [&](std::vector<float>& v, Index size, double scale) {
-      v.resize(static_cast<std::size_t>(size));
+      v.resize(size);
       for (float& x : v) x = static_cast<float>(scale * random.normal());
     };
     fill(block.shape, 4 * n, 0.5);
@@ -157,8 +157,7 @@ std::vector<PredictionCase> some_cases(const Task& task, std::size_t count, std:
     const auto k = static_cast<Index>(1 + random.below(9));
     one.controls = task.trajectory->default_controls(k);
     for (Index j = 0; j < k; ++j)
-      for (Index c = 0; c < one.controls.cols(); ++c)
-        one.controls(j, c) += 0.5 * variables[static_cast<std::size_t>(c)].scale * random.normal();
+      for (Index c = 0; c < one.controls.cols(); ++c) one.controls(j, c) += 0.5 * variables[c].scale * random.normal();
     for (Index p = 0; p < 4; ++p) {
       one.knowledge.centre[p] = random.uniform();
       one.knowledge.width[p] = random.uniform();

@@ -65,7 +65,7 @@ TEST(EmdSampling, SharesOfKnowledgeStartsAndShapesAreThoseAskedFor) {
   for (int i = 0; i < kDraws; ++i) {
     const Sequence s = sample_sequence(4, e, t, random);
     ASSERT_EQ(s.example, 4u);
-    ++starts.at(static_cast<std::size_t>(s.start));
+    ++starts.at(s.start);
     ASSERT_EQ(s.steps, std::min<Index>(10 - s.start, 6));
     ASSERT_EQ(s.decoded.size(), std::min<std::size_t>(3, static_cast<std::size_t>(s.steps)));
     ASSERT_EQ(s.decoded.back(), s.steps);
@@ -73,7 +73,7 @@ TEST(EmdSampling, SharesOfKnowledgeStartsAndShapesAreThoseAskedFor) {
     ASSERT_EQ(std::adjacent_find(s.decoded.begin(), s.decoded.end(), std::greater_equal<>()), s.decoded.end());
     if (s.steps == 6) {
       ++long_ones;
-      for (const Index j : s.decoded) ++decoded.at(static_cast<std::size_t>(j));
+      for (const Index j : s.decoded) ++decoded.at(j);
     }
     certain += s.knowledge.width.isZero(0.0) && s.knowledge.centre == e.q;
     unknown += s.knowledge.width.isOnes(0.0) && s.knowledge.centre.isConstant(0.5, 0.0);

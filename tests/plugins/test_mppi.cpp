@@ -25,8 +25,7 @@ TEST(Mppi, EveryInstanceHasItsPopulationInOneBatch) {
   run(p, f, spread(), cube(2, 2), options);
   ASSERT_EQ(f.owners.size(), 2u);
   EXPECT_EQ(f.owners[0], (std::vector<Index>{0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2}));
-  for (Index i = 0; i < 3; ++i)
-    EXPECT_EQ(f.points[static_cast<std::size_t>(5 * i)], spread().col(i));  // the mean itself
+  for (Index i = 0; i < 3; ++i) EXPECT_EQ(f.points[5 * i], spread().col(i));  // the mean itself
   for (const auto& request : f.requests) EXPECT_EQ(request, EvaluationRequest());
 }
 

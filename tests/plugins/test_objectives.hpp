@@ -44,7 +44,7 @@ class LeastSquares final : public Objective {
     if (request.residuals) e.residuals.resize(residuals_, x.cols());
     for (Index j = 0; j < x.cols(); ++j) {
       points.push_back(x.col(j));
-      const Residuals at = call_(x.col(j), instances[static_cast<std::size_t>(j)]);
+      const Residuals at = call_(x.col(j), instances[j]);
       e.costs[j] = 0.5 * at.r.squaredNorm();
       if (request.gradients) e.gradients.col(j) = at.jacobian.transpose() * at.r;
       if (request.residuals) e.residuals.col(j) = at.r;

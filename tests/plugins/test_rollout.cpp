@@ -7,6 +7,7 @@
 
 #include "predictor/rollout/rollout.cpp"  // the classes are compiled in: what is tested here does not need the loader
 #include "trajectory/arc/arc.cpp"
+#include "unit/serial_host.hpp"
 
 namespace weft::rollout {
 namespace {
@@ -80,19 +81,12 @@ class ToySimulator final : public Simulator {
   bool holds_ = false;
 };
 
-class ToyHost final : public Host {
+class ToyHost final : public test::SerialHost {
  public:
   bool snapshots = true;
   double diverge_above = 1e9;
   std::atomic<int> steps{0};
   std::vector<Index> settled;  ///< frames of every settle()
-  int threads() const override { return 1; }
-  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
-    for (std::int64_t i = 0; i < count; ++i) body(i);
-  }
-  bool cancelled() const override { return false; }
-  void log(LogLevel, const std::string&) override {}
-  std::uint64_t seed() const override { return 1; }
 
  protected:
   std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override {
@@ -186,12 +180,12 @@ TEST(Rollout, PullbackEqualsDerivativeOfPredict) {
   double largest = 0.0;
   for (Index j = 0; j < one.segments.back(); ++j) {
     for (Index c = 0; c < one.controls.cols(); ++c) {
-      const double h = 1e-4 * variables[static_cast<std::size_t>(c)].scale;
+      const double h = 1e-4 * variables[c].scale;
       PredictionCase up = one, down = one;
       up.controls(j, c) += h;
       down.controls(j, c) -= h;
       const double expected = (loss_with(up) - loss_with(down)) / (2 * h);
-      const double scale = variables[static_cast<std::size_t>(c)].scale;
+      const double scale = variables[c].scale;
       EXPECT_NEAR(gradient.controls(j, c) * scale, expected * scale, 1e-5) << "segment " << j << " control " << c;
       largest = std::max(largest, std::abs(expected * scale));
     }
@@ -219,8 +213,7 @@ TEST(Rollout, JvpEqualsDerivativeOfPredict) {
   directions[0].controls(4, 3) = variables[3].scale;  // one control of a late segment
   for (Index j = 0; j < one.controls.rows(); ++j)
     for (Index c = 0; c < one.controls.cols(); ++c)
-      for (std::size_t d : {1u, 2u})
-        directions[d].controls(j, c) = variables[static_cast<std::size_t>(c)].scale * random.normal();
+      for (std::size_t d : {1u, 2u}) directions[d].controls(j, c) = variables[c].scale * random.normal();
   directions[2].centre << 0.3, -0.2, 0.1, 0.4;
   directions[2].width << -0.1, 0.2, 0.3, -0.4;
   const auto slopes = toy.predictor->predict({one}, {.gradients = true})->jvp({directions})[0];

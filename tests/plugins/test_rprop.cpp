@@ -28,7 +28,7 @@ class Function final : public Objective {
     e.gradients.resize(dim_, x.cols());
     for (Index j = 0; j < x.cols(); ++j) {
       Vector g = Vector::Zero(dim_);
-      e.costs[j] = call_(x.col(j), g, instances[static_cast<std::size_t>(j)]);
+      e.costs[j] = call_(x.col(j), g, instances[j]);
       e.gradients.col(j) = g;
       points.push_back(x.col(j));
     }
@@ -166,9 +166,9 @@ TEST(Rprop, AnInstanceAloneGivesTheSameBits) {
   for (Index i = 0; i < 3; ++i) {
     Function alone(2, rosenbrock);
     const auto one = Rprop(Params{}).minimise(alone, starts.col(i), cube(2, 2), Vector::Ones(2), options, nullptr);
-    EXPECT_EQ(one[0].x, r[static_cast<std::size_t>(i)].x);
-    EXPECT_EQ(one[0].cost, r[static_cast<std::size_t>(i)].cost);
-    EXPECT_EQ(one[0].evaluations, r[static_cast<std::size_t>(i)].evaluations);
+    EXPECT_EQ(one[0].x, r[i].x);
+    EXPECT_EQ(one[0].cost, r[i].cost);
+    EXPECT_EQ(one[0].evaluations, r[i].evaluations);
     EXPECT_LT(one[0].cost, 0.5);
   }
 }

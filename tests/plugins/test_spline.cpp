@@ -6,21 +6,13 @@
 #include "trajectory/arc/arc.cpp"
 #include "trajectory/spline/least_squares.cpp"
 #include "trajectory/spline/spline.cpp"
+#include "unit/serial_host.hpp"
 
 namespace weft::spline {
 namespace {
 
 /// Makes an arc for every request, so that no loader is needed.
-class ArcHost final : public Host {
- public:
-  int threads() const override { return 1; }
-  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
-    for (std::int64_t i = 0; i < count; ++i) body(i);
-  }
-  bool cancelled() const override { return false; }
-  void log(LogLevel, const std::string&) override {}
-  std::uint64_t seed() const override { return 1; }
-
+class ArcHost final : public test::SerialHost {
  protected:
   std::shared_ptr<void> create_erased(const std::string& kind, const ConfigNode& slot) override {
     EXPECT_EQ(kind, "trajectory");
@@ -134,8 +126,8 @@ TEST_P(Over, PointsOfTheBoxStayWithinTheControlBounds) {
     for (Index i = 0; i < x.size(); ++i) x[i] = random.below(2) == 0 ? box.lower[i] : box.upper[i];  // corners
     const Controls c = spline.decode(x, 25, state);
     for (Index k = 0; k < 5; ++k) {
-      EXPECT_GE(c.col(k).minCoeff(), variables[static_cast<std::size_t>(k)].lower - 1e-12);
-      EXPECT_LE(c.col(k).maxCoeff(), variables[static_cast<std::size_t>(k)].upper + 1e-12);
+      EXPECT_GE(c.col(k).minCoeff(), variables[k].lower - 1e-12);
+      EXPECT_LE(c.col(k).maxCoeff(), variables[k].upper + 1e-12);
     }
   }
 }

@@ -96,8 +96,8 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
   result.default_error_mm = mean_distance_mm(result.default_shape, result.goal);
 
   const auto record = [&](const Positions& shape) {
-    std::vector<float> frame(static_cast<std::size_t>(shape.size()));
-    for (Index i = 0; i < shape.size(); ++i) frame[static_cast<std::size_t>(i)] = static_cast<float>(shape.data()[i]);
+    std::vector<float> frame(shape.size());
+    for (Index i = 0; i < shape.size(); ++i) frame[i] = static_cast<float>(shape.data()[i]);
     result.frames.push_back(std::move(frame));
   };
   record(result.start);
@@ -144,7 +144,7 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
     }
     plan.losses = plan.curves.back();
     plan.instance = std::min_element(plan.losses.begin(), plan.losses.end()) - plan.losses.begin();
-    plan.loss = plan.losses[static_cast<std::size_t>(plan.instance)];
+    plan.loss = plan.losses[plan.instance];
     plan.ended = {OptimiserStatus::budget_spent,
                   "max_iterations",
                   {{OptimiserStatus::converged, 3}, {OptimiserStatus::budget_spent, 13}}};
@@ -170,7 +170,7 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
     }
     const auto& last = result.frames.back();
     round.observed.resize(vertices, 3);
-    for (Index i = 0; i < round.observed.size(); ++i) round.observed.data()[i] = last[static_cast<std::size_t>(i)];
+    for (Index i = 0; i < round.observed.size(); ++i) round.observed.data()[i] = last[i];
     result.rounds.push_back(std::move(round));
   }
   for (std::size_t r = 0; r < result.rounds.size(); ++r) {
@@ -313,12 +313,10 @@ void make_evaluation(const fs::path& folder, const Task& task) {
                              {"linear", {{"n", 40}, {"mean_mm", 31.0}, {"median_mm", 27.0}}}};
   // The goals serve as recorded shapes, the ends of the planned folds as predicted shapes.
   for (int i = 0; i < 40; ++i)
-    prediction["cases"].push_back(
-        {{"example", 100 + i},
-         {"segments", 9 + i % 5},
-         {"error_mm", mean_distance_mm(final_shapes[static_cast<std::size_t>(i)],
-                                       goal_shapes[static_cast<std::size_t>(goal_of[static_cast<std::size_t>(i)])])},
-         {"sigma_mm", 3.0 + 4.0 * random.uniform()}});
+    prediction["cases"].push_back({{"example", 100 + i},
+                                   {"segments", 9 + i % 5},
+                                   {"error_mm", mean_distance_mm(final_shapes[i], goal_shapes[goal_of[i]])},
+                                   {"sigma_mm", 3.0 + 4.0 * random.uniform()}});
   write_json(folder / "prediction.json", prediction);
 
   auto file = create_cases_file(folder / "cases.h5", *task.garment);

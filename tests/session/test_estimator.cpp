@@ -9,25 +9,12 @@
 
 #include "optimiser/rprop/rprop.cpp"
 #include "session/estimator.hpp"
+#include "unit/serial_host.hpp"
 #include "unit/test_support.hpp"
 #include "unit/toy_trajectory.hpp"
 
 namespace weft {
 namespace {
-
-class QuietHost final : public Host {
- public:
-  int threads() const override { return 1; }
-  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
-    for (std::int64_t i = 0; i < count; ++i) body(i);
-  }
-  bool cancelled() const override { return false; }
-  void log(LogLevel, const std::string&) override {}
-  std::uint64_t seed() const override { return 1; }
-
- protected:
-  std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override { return nullptr; }
-};
 
 /// The prediction of an exact predictor in a linear world: after segment j coordinate k of the shape is
 ///     x = s_0 + a_jk' q + noise,   a_jk' q ~ mean a' c and variance sum_p a_p^2 w_p^2 / 12 for q uniform in (c, w).
@@ -104,7 +91,7 @@ constexpr Index kVertices = 4, kSegments = 3;
 
 struct Bench {
   LinearWorld world;
-  QuietHost host;
+  test::SerialHost host;
   Task task;
   std::shared_ptr<Optimiser> optimiser = std::make_shared<rprop::Rprop>(rprop::Params());
   EstimatorParams params;
@@ -140,7 +127,7 @@ struct Bench {
   Estimator estimator() const {
     auto predictor = std::make_shared<LinearPredictor>(world);
     predictor->has_gradients = has_gradients;
-    return Estimator(task, predictor, optimiser, params, const_cast<QuietHost&>(host));
+    return Estimator(task, predictor, optimiser, params, const_cast<test::SerialHost&>(host));
   }
   Estimate estimate(const EstimateRequest& request) const { return estimator().estimate(request); }
 };
@@ -228,9 +215,7 @@ TEST(Estimator, IntervalsHoldTheTruthAsOftenAsTheySay) {
     const auto k = bench.estimate(bench.observe(q, seed)).knowledge;
     for (Index p = 0; p < 4; ++p) {
       width(p) += k.width(p) / kCases;
-      for (const int a : {0, 1})
-        held[static_cast<std::size_t>(p)][static_cast<std::size_t>(a)] +=
-            std::abs(k.centre(p) - q(p)) <= (a == 0 ? 0.25 : 0.4) * k.width(p);
+      for (const int a : {0, 1}) held[p][a] += std::abs(k.centre(p) - q(p)) <= (a == 0 ? 0.25 : 0.4) * k.width(p);
     }
   }
   for (std::size_t p = 0; p < 4; ++p) {
@@ -485,9 +470,9 @@ class Probe final : public Optimiser {
   std::vector<OptimiserResult> minimise(Objective& objective, ConstMatrix starts, const Box&, ConstVec,
                                         const OptimiserOptions&, const OptimiserObserver&) const override {
     look(objective);
-    std::vector<OptimiserResult> results(static_cast<std::size_t>(starts.cols()));
+    std::vector<OptimiserResult> results(starts.cols());
     for (std::size_t i = 0; i < results.size(); ++i) {
-      results[i].x = starts.col(static_cast<Index>(i));
+      results[i].x = starts.col(i);
       results[i].cost = 1.0;
     }
     return results;

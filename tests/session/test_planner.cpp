@@ -10,23 +10,10 @@
 #include "optimiser/rprop/rprop.cpp"
 #include "session/planner.hpp"
 #include "trajectory/arc/arc.cpp"
+#include "unit/serial_host.hpp"
 
 namespace weft {
 namespace {
-
-class QuietHost final : public Host {
- public:
-  int threads() const override { return 1; }
-  void parallel_for(std::int64_t count, const std::function<void(std::int64_t)>& body) override {
-    for (std::int64_t i = 0; i < count; ++i) body(i);
-  }
-  bool cancelled() const override { return false; }
-  void log(LogLevel, const std::string&) override {}
-  std::uint64_t seed() const override { return 1; }
-
- protected:
-  std::shared_ptr<void> create_erased(const std::string&, const ConfigNode&) override { return nullptr; }
-};
 
 /// The shape after segment j is the pair of grasp targets at that control state, so a goal is reached exactly by the
 /// controls that made it, and the gradient is the chain of the trajectory's own pullbacks.
@@ -64,10 +51,10 @@ class TargetsPrediction final : public Prediction {
         const Index last = one.segments[k] * kFramesPerSegment;
         Positions d_targets = cotangents[i][k].mean;
         if (cotangents[i][k].sigma.rows() > 0) d_targets += sigma_slope_ * cotangents[i][k].sigma;
-        Vector d = trajectory.targets_pullback(task_.manipulation, states[static_cast<std::size_t>(last)], d_targets);
+        Vector d = trajectory.targets_pullback(task_.manipulation, states[last], d_targets);
         for (Index f = last - 1; f >= 0; --f) {
           Vector d_state, d_control;
-          trajectory.advance_pullback(task_.manipulation, states[static_cast<std::size_t>(f)],
+          trajectory.advance_pullback(task_.manipulation, states[f],
                                       one.controls.row(f / kFramesPerSegment).transpose(), d, d_state, d_control);
           gradient.controls.row(f / kFramesPerSegment) += d_control.transpose();
           d = d_state;
@@ -112,7 +99,7 @@ class TargetsPredictor final : public Predictor {
 };
 
 struct Bench {
-  QuietHost host;
+  test::SerialHost host;
   Task task;
   std::shared_ptr<TargetsPredictor> predictor = std::make_shared<TargetsPredictor>();
   std::shared_ptr<Optimiser> optimiser = std::make_shared<rprop::Rprop>(rprop::Params());
@@ -219,7 +206,7 @@ TEST(Planner, TheBestResidualLossWins) {
   EXPECT_EQ(plan.ended.status, OptimiserStatus::budget_spent) << plan.ended.message;
   EXPECT_EQ(plan.ended.instances, (std::map<OptimiserStatus, Index>{{OptimiserStatus::budget_spent, 4}}));
   EXPECT_EQ(plan.loss, *std::min_element(plan.losses.begin(), plan.losses.end()));
-  EXPECT_EQ(plan.loss, plan.losses[static_cast<std::size_t>(plan.instance)]);
+  EXPECT_EQ(plan.loss, plan.losses[plan.instance]);
 }
 
 TEST(Planner, StopsWhenThePlanIsStable) {
@@ -292,7 +279,7 @@ TEST(ActivityLoss, GradientEqualsCentralDifferences) {
   const auto variables = setup.task.trajectory->controls();
   for (Index j = 0; j < controls.rows(); ++j) {
     for (Index c = 0; c < controls.cols(); ++c) {
-      controls(j, c) += 0.5 * variables[static_cast<std::size_t>(c)].scale * random.normal();
+      controls(j, c) += 0.5 * variables[c].scale * random.normal();
     }
   }
   controls(2, 0) = 0.7;  // slow on purpose
@@ -300,7 +287,7 @@ TEST(ActivityLoss, GradientEqualsCentralDifferences) {
   activity_loss(setup.task, setup.request.state, controls, 7, 10.0, &gradient);
   for (Index j = 0; j < controls.rows(); ++j) {
     for (Index c = 0; c < controls.cols(); ++c) {
-      const double scale = variables[static_cast<std::size_t>(c)].scale, h = 1e-5 * scale;
+      const double scale = variables[c].scale, h = 1e-5 * scale;
       Controls up = controls, down = controls;
       up(j, c) += h;
       down(j, c) -= h;
@@ -345,7 +332,7 @@ TEST(PlanningObjective, HalfTheSquaredResidualsAreTheCostAndTheirJacobianGivesIt
     setup.optimiser = std::make_shared<Probe>([&](Objective& f, ConstMatrix starts) {
       const Index r = f.capabilities().residuals;
       EXPECT_EQ(r, (loss == "mean" ? 6 : 12) + 24 * 5 + 25);
-      std::vector<Index> instances(static_cast<std::size_t>(starts.cols()));
+      std::vector<Index> instances(starts.cols());
       std::iota(instances.begin(), instances.end(), 0);
       const Evaluation plain = f.evaluate(starts, instances, {.gradients = true});
       const Evaluation e = f.evaluate(starts, instances, {.residuals = true, .jacobians = true});
@@ -357,7 +344,7 @@ TEST(PlanningObjective, HalfTheSquaredResidualsAreTheCostAndTheirJacobianGivesIt
       EXPECT_EQ(e.costs, plain.costs);
       for (Index i = 0; i < starts.cols(); ++i) {
         EXPECT_NEAR(0.5 * e.residuals.col(i).squaredNorm(), e.costs(i), 1e-9 * e.costs(i));
-        const Vector gradient = e.jacobians[static_cast<std::size_t>(i)].transpose() * e.residuals.col(i);
+        const Vector gradient = e.jacobians[i].transpose() * e.residuals.col(i);
         EXPECT_LT((gradient - plain.gradients.col(i)).norm(), 1e-4 * plain.gradients.col(i).norm()) << i;
       }
     });
@@ -471,8 +458,7 @@ TEST(ActivityLoss, ResidualsAreItsRoots) {
   RandomStream random(5);
   const auto variables = setup.task.trajectory->controls();
   for (Index j = 0; j < controls.rows(); ++j)
-    for (Index c = 0; c < controls.cols(); ++c)
-      controls(j, c) += 0.5 * variables[static_cast<std::size_t>(c)].scale * random.normal();
+    for (Index c = 0; c < controls.cols(); ++c) controls(j, c) += 0.5 * variables[c].scale * random.normal();
   controls(2, 0) = 0.7;  // slow on purpose
   Matrix jacobian;
   Controls gradient;

@@ -105,8 +105,7 @@ TEST_F(Session, APlanUsesTheEstimateThatItsLagAllows) {
     ASSERT_GE(result.rounds.size(), 5u);
     for (std::size_t j = 0; j < result.rounds.size(); ++j) {
       const Index seen = static_cast<Index>(j) - lag;
-      const MaterialKnowledge expected =
-          seen <= 0 ? MaterialKnowledge::none() : result.estimates[static_cast<std::size_t>(seen - 1)].knowledge;
+      const MaterialKnowledge expected = seen <= 0 ? MaterialKnowledge::none() : result.estimates[seen - 1].knowledge;
       EXPECT_EQ(result.rounds[j].knowledge.centre, expected.centre) << lag << ", " << j;
       EXPECT_EQ(result.rounds[j].knowledge.width, expected.width) << lag << ", " << j;
     }
@@ -122,7 +121,7 @@ TEST_F(Session, LearnsWhatTheClothShows) {
            "estimation={instances: 2, iterations: 25, later_iterations: 5}", "knowledge_lag=0"});
   const auto& last = result.estimates.back().knowledge;
   const PropertyVector error = (last.centre - result.true_material.value()).cwiseAbs();
-  for (Index p = 0; p < 4; ++p) EXPECT_LT(error(p), 0.12) << kPropertyNames[static_cast<std::size_t>(p)];
+  for (Index p = 0; p < 4; ++p) EXPECT_LT(error(p), 0.12) << kPropertyNames[p];
   EXPECT_LT(last.width.mean(), 0.5 * result.estimates.front().knowledge.width.mean() + 0.1);
 }
 
@@ -151,13 +150,13 @@ TEST_F(Session, HiddenVerticesStayHiddenAndNoiseIsAsLargeAsItSays) {
   SimulatorEnvironment environment(host->create<Simulator>(towel.simulator), towel, PropertyVector::Constant(0.5),
                                    {.noise_m = 0.003, .hidden_share = 0.25, .lost_share = 0.25}, 9);
   const Index n = towel.garment->vertex_count();
-  std::vector<int> times(static_cast<std::size_t>(n));
+  std::vector<int> times(n);
   double square = 0.0;
   constexpr int kLooks = 200;
   for (int k = 0; k < kLooks; ++k) {
     const Observation seen = environment.observe();
     EXPECT_EQ(seen.sigma, 0.003);
-    for (Index v = 0; v < n; ++v) times[static_cast<std::size_t>(v)] += seen.sees(v);
+    for (Index v = 0; v < n; ++v) times[v] += seen.sees(v);
     square += (seen.positions - *environment.true_shape()).squaredNorm() / static_cast<double>(3 * n * kLooks);
   }
   EXPECT_NEAR(std::sqrt(square), 0.003, 1e-4);

@@ -29,7 +29,7 @@ class Valley final : public Objective {
       Matrix jacobian(2, 2);
       r << 10.0 * (x(1, j) - x(0, j) * x(0, j)), 1.0 - x(0, j);
       jacobian << -20.0 * x(0, j), 10.0, -1.0, 0.0;
-      const Index instance = instances[static_cast<std::size_t>(j)];
+      const Index instance = instances[j];
       e.costs[j] = instance == broken ? std::numeric_limits<double>::quiet_NaN() : 0.5 * r.squaredNorm();
       if (request.gradients) e.gradients.col(j) = jacobian.transpose() * r;
       if (request.residuals) e.residuals.col(j) = r;
@@ -94,7 +94,7 @@ TEST(Batching, EqualsTheInstancesOneByOneBitForBit) {
   for (Index i = 0; i < starts.cols(); ++i) {
     Valley alone;
     const auto one = run(alone, starts.col(i), descent());
-    const auto& same = all[static_cast<std::size_t>(i)];
+    const auto& same = all[i];
     EXPECT_EQ(one[0].x, same.x);
     EXPECT_EQ(one[0].cost, same.cost);
     EXPECT_EQ(one[0].evaluations, same.evaluations);
@@ -141,8 +141,8 @@ TEST(Batching, InstancesThatEndLeaveTheBatch) {
   });
   EXPECT_EQ(f.batches, (std::vector<std::vector<Index>>{{0, 1, 2, 3}, {1, 2, 3}, {2, 3}, {3}}));
   for (Index i = 0; i < 4; ++i) {
-    EXPECT_EQ(results[static_cast<std::size_t>(i)].evaluations, i + 1);
-    EXPECT_EQ(results[static_cast<std::size_t>(i)].message, "enough");
+    EXPECT_EQ(results[i].evaluations, i + 1);
+    EXPECT_EQ(results[i].message, "enough");
   }
 }
 
@@ -203,7 +203,7 @@ TEST(Batching, ObserverStopsAllAtOnceAndRunsHere) {
   EXPECT_EQ(seen, 5);
   for (std::size_t i = 0; i < 4; ++i) {
     EXPECT_EQ(results[i].status, OptimiserStatus::stopped);
-    EXPECT_EQ(results[i].cost, last[static_cast<Index>(i)]);
+    EXPECT_EQ(results[i].cost, last[i]);
   }
 }
 

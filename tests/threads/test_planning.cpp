@@ -140,7 +140,7 @@ TEST_F(Lift, WhereBitsDependOnTheRowInstancesKeepTheirs) {
   const Plan alone = plan_one_by_one();
   EXPECT_EQ(together.losses, alone.losses);
   EXPECT_EQ(together.controls, alone.controls);
-  EXPECT_EQ(together.evaluations, alone.evaluations);  // padding is no evaluation
+  EXPECT_EQ(together.evaluations, alone.evaluations);  // padding does not count as an evaluation
   // The test means something: other rows give other bits.
   EXPECT_NE(together.losses, sound.losses);
   EXPECT_NE(together.losses, plan_one_by_one(false).losses);

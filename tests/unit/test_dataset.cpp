@@ -332,7 +332,7 @@ TEST(Dataset, SaysWhenASplitIsNotWhatAModelTookItFor) {
   EXPECT_EQ(both.origins()[1].seed, other.seed);
   EXPECT_EQ(warnings(both.origins()), "");
 
-  // Another seed has no example in common, so its train split is no training data.
+  // Another seed has no example in common, so its train split is not training data.
   EXPECT_THAT(held_out_warning(data, Split::train, {other}), HasSubstr("was not trained on dataset " + own.identity));
   EXPECT_EQ(held_out_warning(data, Split::test, {other}), "");
   // The same examples, otherwise split: those that were trained on are counted.

@@ -25,8 +25,8 @@ TEST_P(HostThreads, RunsEveryIndexOnce) {
   const auto host = host_with(GetParam());
   EXPECT_EQ(host->threads(), GetParam());
   for (const std::int64_t count : {0, 1, 2, 7, 1000}) {
-    std::vector<std::atomic<int>> runs(static_cast<std::size_t>(count));
-    host->parallel_for(count, [&](std::int64_t i) { ++runs[static_cast<std::size_t>(i)]; });
+    std::vector<std::atomic<int>> runs(count);
+    host->parallel_for(count, [&](std::int64_t i) { ++runs[i]; });
     for (const auto& n : runs) EXPECT_EQ(n, 1);
   }
   host->parallel_for(-3, [](std::int64_t) { FAIL(); });

@@ -93,7 +93,7 @@ TEST(Random, UniformFillsItsInterval) {
     ASSERT_LT(u, 1.0);
     sum += u;
     squares += u * u;
-    ++bins[static_cast<std::size_t>(u * 10)];
+    ++bins[u * 10];
   }
   EXPECT_NEAR(sum / kDraws, 0.5, 5 * std::sqrt(1.0 / 12 / kDraws));
   EXPECT_NEAR(squares / kDraws, 1.0 / 3, 0.005);

@@ -31,7 +31,7 @@ class Gliding final : public SimulatorBase {
     if (!fail.empty()) throw Diverged(fail);
     v /= 1.0 + kFrameSeconds * drag;
     x += kFrameSeconds * v;
-    for (std::size_t k = 0; k < held().size(); ++k) x.row(held()[k]) = targets.row(static_cast<Index>(k));
+    for (std::size_t k = 0; k < held().size(); ++k) x.row(held()[k]) = targets.row(k);
     if (break_next) x(0, 0) = std::numeric_limits<double>::quiet_NaN();
     ++history;
   }

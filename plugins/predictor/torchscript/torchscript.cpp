@@ -409,7 +409,7 @@ void TorchScriptPredictor::bind(const Task& task) {
 void TorchScriptPredictor::check_material(const Metadata& m, const std::string& file, const Task& task) const {
   if (m.material.is_null()) {
     host_.log(LogLevel::warning,
-              file + ": has no material: for which fabrics the module's properties in [0, 1] stand is unknown");
+              file + ": has no material: it is unknown which fabrics the module's properties in [0, 1] stand for");
     return;
   }
   if (write_material_space(read_material_space(m.material)).to_yaml() == write_material_space(task.material).to_yaml())
