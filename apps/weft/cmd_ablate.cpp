@@ -87,7 +87,7 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
   const SweepFolder earlier = read_sweep(plan, folder, context.accept_changed);
 
   // Nothing was refused, so from here on the folder changes.
-  make_result_folder(folder);
+  make_writable_folder(folder);
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
     ConfigNode& one = saved[a].config;
     if (one.at("threads").as_int() == 0) one = one.with("threads", ConfigNode::integer(1));

@@ -118,7 +118,7 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
     context.say("calibrating on " + std::to_string(counts[d]) + " of the " + std::to_string(all[d]) + " examples of " +
                 folders[d]);
   }
-  make_result_folder(out.has_parent_path() ? out.parent_path() : fs::path("."));
+  make_writable_folder(out.has_parent_path() ? out.parent_path() : fs::path("."));
   const CalibrationReport report =
       learner->calibrate(dataset, examples, given.task, {.seed = given.seed, .model = out});
   say_rows(context, report.rows);

@@ -8,7 +8,7 @@ namespace weft::app {
 namespace {
 
 int evaluate(Context& context, const EvaluationOptions& options, std::vector<std::string> methods) {
-  EvaluationRun evaluation(context, options, "evaluate-estimation");
+  EvaluationRun evaluation(context, options, "estimation");
   if (methods.empty()) methods = {evaluation.given.params.estimation.method};
   const auto columns = evaluation.run(
       [&](const EvaluationCases& cases) {

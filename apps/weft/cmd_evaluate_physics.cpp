@@ -72,7 +72,7 @@ int evaluate(Context& context, const std::string& file) {
   std::vector<PhysicsRow> rows;
   for (auto& some : results) std::move(some.begin(), some.end(), std::back_inserter(rows));
 
-  make_result_folder(out);
+  make_writable_folder(out);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));

@@ -11,7 +11,7 @@ namespace {
 
 int evaluate(Context& context, const EvaluationOptions& options, const std::vector<double>& widths) {
   require_distinct("--widths", widths);
-  EvaluationRun evaluation(context, options, "evaluate-planning");
+  EvaluationRun evaluation(context, options, "planning");
   const auto columns = evaluation.run(
       [&](const EvaluationCases& cases) { return planning_evaluation(evaluation.session, widths, cases); },
       planning_runner,

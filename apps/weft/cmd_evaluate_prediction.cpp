@@ -68,7 +68,7 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
   const PredictionEvaluation result =
       evaluate_prediction(*predictor, given.task, dataset, given.params.evaluation, given.seed, *given.host);
   const std::string json = prediction_evaluation_json(result), times = prediction_times_json(result);
-  make_result_folder(out);
+  make_writable_folder(out);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));

@@ -1,7 +1,4 @@
 #include <cstdio>
-#include <fstream>
-#include <iostream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -10,6 +7,7 @@
 #include "options.hpp"
 #include "prepared.hpp"
 #include "report/garment_page.hpp"
+#include "sdk/files.hpp"
 #include "simulation/displacement.hpp"
 
 namespace weft::app {
@@ -66,13 +64,8 @@ std::string plain_name(std::string name) {
 
 /// The material space that goes beside the task: --fabric, or the one that ships with weft.
 std::string fabric_text(const std::string& given) {
-  const fs::path shipped =
-      fs::read_symlink("/proc/self/exe").parent_path().parent_path() / "share/weft/configs/fabrics/basic.yaml";
   if (!given.empty()) return ConfigNode::load(given).to_yaml();  // whole, with what it extends
-  std::ifstream stream(shipped, std::ios::binary);
-  const std::string text{std::istreambuf_iterator<char>(stream), {}};
-  if (!stream) throw Error(shipped.string() + ": cannot be read; it belongs to every installation and build of weft");
-  return text;
+  return shipped_text("configs/fabrics/basic.yaml");
 }
 
 /// Reads --units ... --grasp into the options of the import.
@@ -137,12 +130,12 @@ GarmentPage page_of(const ImportedGarment& garment, const std::string& name, con
   page.positions = garment.mesh.positions;
   page.faces = garment.mesh.faces;
   page.vertices = garment.vertices;
-  page.positions_before.resize(static_cast<Index>(garment.before.positions.size()), 3);
+  page.positions_before.resize(garment.before.positions.size(), 3);
   for (Index v = 0; v < page.positions_before.rows(); ++v)
     page.positions_before.row(v) = garment.before.at(static_cast<int>(v)).transpose();
-  page.faces_before.resize(static_cast<Index>(garment.before.faces.size()), 3);
+  page.faces_before.resize(garment.before.faces.size(), 3);
   for (Index f = 0; f < page.faces_before.rows(); ++f) {
-    const auto& face = garment.before.faces[static_cast<std::size_t>(f)];
+    const auto& face = garment.before.faces[f];
     page.faces_before.row(f) << face[0], face[1], face[2];
   }
   page.findings = findings_json(findings);
@@ -172,9 +165,7 @@ int run_import(Context& context, ImportRequest request) {
     if (is_mesh || fs::equivalent(target, file, ignored))
       throw ConfigError(target.string() + " would replace the file that is imported; name another folder with --out");
   }
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (!fs::is_directory(folder)) throw ConfigError(folder.string() + ": the folder cannot be made: " + error.message());
+  make_writable_folder(folder);
 
   say_findings(context, garment.findings);
   const std::size_t said = garment.findings.size();
@@ -202,7 +193,7 @@ int run_import(Context& context, ImportRequest request) {
   ordered_json whole = json;
   whole["vertex_of"] = garment.vertex_of;
   write_text(folder / "import.json", whole.dump(1) + "\n");
-  if (context.json) std::cout << json.dump(2) << '\n';
+  if (context.json) context.output() << json.dump(2) << '\n';
   context.say(folder.string() + ": " + std::to_string(files.size()) + " files");
   context.say(no_page.empty() ? "to look at it, open " + (folder / "import.html").string()
                               : "no import.html: " + no_page);

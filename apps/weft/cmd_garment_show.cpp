@@ -1,10 +1,10 @@
-#include <iostream>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
 #include "meshes/import/names.hpp"
 #include "options.hpp"
 #include "report/garment_page.hpp"
+#include "sdk/files.hpp"
 #include "weft/config.hpp"
 
 namespace weft::app {
@@ -56,21 +56,21 @@ int run_show(const Context& context, const ShowRequest& request) {
     std::vector<std::pair<std::string, ConfigNode>> vertices;
     for (const auto& [name, index] : garment.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
     if (context.json) {
-      std::cout << nlohmann::ordered_json{{"name", garment.name},
-                                          {"mesh", garment.mesh_file},
-                                          {"vertices", garment.vertices}}
-                       .dump(2)
-                << '\n';
+      context.output() << nlohmann::ordered_json{{"name", garment.name},
+                                                 {"mesh", garment.mesh_file},
+                                                 {"vertices", garment.vertices}}
+                              .dump(2)
+                       << '\n';
     } else {
-      std::cout << ConfigNode::mapping({{"name", ConfigNode::scalar(garment.name)},
-                                        {"mesh", ConfigNode::scalar(garment.mesh_file)},
-                                        {"vertices", ConfigNode::mapping(std::move(vertices))}})
-                       .to_yaml();
+      context.output() << ConfigNode::mapping({{"name", ConfigNode::scalar(garment.name)},
+                                               {"mesh", ConfigNode::scalar(garment.mesh_file)},
+                                               {"vertices", ConfigNode::mapping(std::move(vertices))}})
+                              .to_yaml();
     }
     if (context.out.empty()) return 0;
   }
   const fs::path page = context.out.empty() ? fs::path(garment.name + ".html") : fs::path(context.out);
-  if (page.has_parent_path()) fs::create_directories(page.parent_path());
+  if (page.has_parent_path()) make_writable_folder(page.parent_path());
   const std::string why_not =
       write_garment_page(page, {garment.name, garment.mesh_file, mesh.positions, mesh.faces, garment.vertices});
   if (!why_not.empty()) throw Error("no page can be written: " + why_not);

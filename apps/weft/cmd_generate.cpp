@@ -71,7 +71,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
       make_dataset_header(given.task, given.params.data, given.seed, saved, given.provenance(identity), identity),
       identity, options.folder, context.accept_changed);
   // Nothing was refused, so from here on the folder changes. The config of a folder with shards is that of the first.
-  make_result_folder(options.folder);
+  make_writable_folder(options.folder);
   if (const auto config = options.folder / "config.yaml";
       list_shards(options.folder).empty() || !std::filesystem::exists(config)) {
     write_garment(given.task, options.folder);
@@ -117,8 +117,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
                 static_cast<long long>(report.kept), static_cast<long long>(report.failed()));
   context.say(line);
   if (report.cancelled) context.say("stopped; run the same command again to make the rest");
-  if (!report.acceptable())
-    warn_of_failures(report.failures, static_cast<std::size_t>(report.made + report.kept), "examples");
+  if (!report.acceptable()) warn_of_failures(report.failures, report.made + report.kept, "examples");
   return report.cancelled || !report.acceptable() ? 1 : 0;
 }
 

@@ -41,16 +41,6 @@ struct NewPlugin {
   bool force = false;
 };
 
-/// The installation or build tree that this program belongs to: it lies in <prefix>/bin.
-fs::path tree_of_weft() { return fs::read_symlink("/proc/self/exe").parent_path().parent_path(); }
-
-std::string template_text(const fs::path& file) {
-  const fs::path path = tree_of_weft() / "share/weft/templates" / file;
-  std::ifstream stream(path, std::ios::binary);
-  if (!stream) throw Error(path.string() + ": cannot be read; it belongs to every installation and build of weft");
-  return {std::istreambuf_iterator<char>(stream), {}};
-}
-
 bool is_word_part(char c) { return std::isalnum(static_cast<unsigned char>(c)) || c == '_'; }
 
 /// Puts `by` in the place of `word`: of an identifier where it stands alone, of a @PLACE@ anywhere.
@@ -134,11 +124,11 @@ int write_plugin(const Context& context, const NewPlugin& wanted) {
       {"@WEFT@", weft},
   };
   const auto filled = [&](const fs::path& file) {
-    std::string text = template_text(file);
+    std::string text = shipped_text("templates" / fs::path(file));
     for (const auto& [place, value] : places) text = replaced(text, place, value);
     return text;
   };
-  std::string source = template_text(fs::path(kind) / (std::string(chosen.example) + ".cpp"));
+  std::string source = shipped_text("templates" / fs::path(kind) / (std::string(chosen.example) + ".cpp"));
   source = replaced(replaced(source, chosen.example, name), chosen.its_class, its_class);
   const std::pair<std::string, std::string> files[] = {
       {"CMakeLists.txt", filled("CMakeLists.txt.in")},

@@ -88,7 +88,7 @@ int run_alone(Context& context, const Options& options, const std::string& name,
       name, [](const ParamInfo&) { return true; }, besides);
   const auto result = compute(given, recorded ? &*recorded : nullptr);
   const std::string json = to_json(result).dump(2) + "\n", times = times_of(result).dump();
-  make_result_folder(folder);
+  make_writable_folder(folder);
   write_garment(given.task, folder);
   write_text(folder / "config.yaml", given.saved_config().to_yaml());
   write_text(folder / "provenance.json", given.provenance(identity));

@@ -44,7 +44,7 @@ int run(Context& context, const std::string& file) {
   }
   const std::string provenance = given.provenance(identity);
   const std::string summary = session_summary_json(result), times = session_times_json(result);
-  make_result_folder(folder);
+  make_writable_folder(folder);
   // The session comes first, so that it is kept if the disk gets full.
   const auto session = folder / "session.h5";
   write_session(session, result, given.task, saved, provenance);

@@ -34,7 +34,7 @@ int simulate(Context& context, const std::string& file) {
   run.simulator = registry->resolve(Simulator::kKind, run.simulator);
 
   const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
-  make_result_folder(folder);
+  make_writable_folder(folder);
   const auto frames = folder / "frames";
   make_writable_folder(frames);
   remove_old_frames(frames);

@@ -25,7 +25,7 @@ class PlacedText {
   PlacedText(fs::path file, const std::string& text) : file_(std::move(file)) {
     const fs::path folder = file_.has_parent_path() ? file_.parent_path() : fs::path(".");
     has_new_folder_ = !fs::exists(folder);
-    make_result_folder(folder);
+    make_writable_folder(folder);
     if (std::ifstream stream(file_, std::ios::binary); stream) earlier_ = {std::istreambuf_iterator<char>(stream), {}};
     write_text(file_, text);
   }

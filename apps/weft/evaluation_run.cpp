@@ -37,13 +37,13 @@ std::vector<Identity> recorded_in(const std::filesystem::path& out, const std::v
 
 }  // namespace
 
-EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& name)
-    : out(result_folder(context, name + "-" + std::filesystem::path(options.file).stem().string())),
+EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options, const std::string& kind)
+    : out(result_folder(context, "evaluate-" + kind + "-" + std::filesystem::path(options.file).stem().string())),
       given(context, options.file, recorded_in(out, options.goals), out.string()),
       context_(context),
       options_(options),
-      kind_(name == "evaluate-planning" ? "planning" : "estimation"),
-      command_(name) {
+      kind_(kind),
+      command_("evaluate " + kind) {
   require_distinct("--goals", options.goals);
   const auto& params = given.params;
   const auto& task = given.task;
@@ -52,7 +52,7 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
   predictor_ = bound_predictor(place(given.config, "predictor"), task, host);
   const Planner planner(task, predictor_, host.create<Optimiser>(params.optimiser), params.planning, host);
   if (params.refinement.plans > 0) bound_predictor(params.refinement.predictor, task, host);
-  if (name == "evaluate-estimation") {
+  if (kind == "estimation") {
     const Estimator estimator(task, predictor_, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
                               host);
   }
@@ -82,7 +82,7 @@ void EvaluationRun::begin(std::vector<EvaluationColumn>& columns, const std::fil
     earlier_.push_back(read_sweep(column.plan, source_folder(column.cases.source), context_.accept_changed));
   }
   // Nothing was refused, so from here on the folder changes.
-  make_result_folder(out);
+  make_writable_folder(out);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));

@@ -1,6 +1,8 @@
 #include "output.hpp"
 
 #include <cstdio>
+#include <fstream>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -19,14 +21,21 @@ fs::path session_file(const std::string& given) {
   return file;
 }
 
+fs::path tree_of_weft() { return fs::read_symlink("/proc/self/exe").parent_path().parent_path(); }
+
+std::string shipped_text(const fs::path& file) {
+  const fs::path path = tree_of_weft() / "share/weft" / file;
+  std::ifstream stream(path, std::ios::binary);
+  if (!stream) throw Error(path.string() + ": cannot be read; it belongs to every installation and build of weft");
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
 fs::path result_folder(const Context& context, const std::string& name) {
   const fs::path folder = context.out.empty() ? fs::path("results") / name : fs::path(context.out);
   if (fs::exists(folder) && !fs::is_directory(folder))
     throw ConfigError("--out " + folder.string() + ": the folder cannot be made: it is a file");
   return folder;
 }
-
-void make_result_folder(const fs::path& folder) { make_writable_folder(folder); }
 
 void require_unmixed(const Context& context, const fs::path& folder, const Identity& now) {
   const fs::path file = folder / "provenance.json";

@@ -13,11 +13,14 @@ namespace weft::app {
 
 /// The folder of a result: what --out names, or results/<name>. It need not exist. @throws ConfigError if it is a file.
 std::filesystem::path result_folder(const Context& context, const std::string& name);
-/// Makes it. @throws ConfigError with the reason if it cannot be made.
-void make_result_folder(const std::filesystem::path& folder);
 /// Refuses a folder that holds results of another identity, as its provenance.json has it. Changes nothing on the disk.
 /// @throws ConfigError naming what differs, unless --accept-changed was given.
 void require_unmixed(const Context& context, const std::filesystem::path& folder, const Identity& now);
+
+/// The installation or build tree that this program belongs to: it lies in <prefix>/bin.
+std::filesystem::path tree_of_weft();
+/// A text file of that tree. @param file from share/weft. @throws Error if it cannot be read.
+std::string shipped_text(const std::filesystem::path& file);
 
 /// session.h5 of the path that a user gives: the file, or the folder of a run. @throws ConfigError when there is none.
 std::filesystem::path session_file(const std::string& given);

@@ -15,6 +15,7 @@
 #include "loader/program_host.hpp"
 #include "processes/claims.hpp"
 #include "processes/worker_process.hpp"
+#include "sdk/files.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -56,8 +57,9 @@ class Sweep {
         claims_(options.folder / "claims"),
         slowest_(options.cell_limit_s) {}
 
-  std::vector<SweepRow> run() {
-    find_cells();
+  /// @param earlier the rows that were there.
+  std::vector<SweepRow> run(const std::vector<SweepRow>& earlier) {
+    find_cells(earlier);
     const auto jobs = std::min<std::size_t>(todo_.size(), static_cast<std::size_t>(std::max(1, options_.jobs)));
     std::vector<std::thread> threads;
     for (std::size_t i = 1; i < jobs; ++i) threads.emplace_back([this] { work(); });
@@ -78,12 +80,11 @@ class Sweep {
 
   bool cancelled() const { return options_.cancel != nullptr && *options_.cancel; }
   bool over() const { return stopping_ || cancelled(); }
-  std::vector<SweepRow> read() const { return read_sweep(plan_, options_.folder, options_.accept_changed).rows; }
 
   /// Seed by seed, so that the rows of an unfinished run can be compared.
-  void find_cells() {
+  void find_cells(const std::vector<SweepRow>& earlier) {
     std::set<std::pair<std::size_t, std::uint64_t>> there;
-    for (const auto& row : read()) {
+    for (const auto& row : earlier) {
       if (tries_again(options_.retry, row.status))
         fs::remove(row.file);
       else
@@ -190,7 +191,7 @@ class Sweep {
   }
 
   std::vector<SweepRow> rows() const {
-    std::vector<SweepRow> rows = read();
+    std::vector<SweepRow> rows = read_sweep(plan_, options_.folder, options_.accept_changed).rows;
     const auto order = [&](const SweepRow& row) {
       return std::pair(std::find(plan_.seeds.begin(), plan_.seeds.end(), row.seed) - plan_.seeds.begin(), row.arm);
     };
@@ -223,13 +224,11 @@ std::unique_ptr<Host> make_cell_host(std::shared_ptr<const PluginRegistry> regis
 }
 
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options) {
-  read_sweep(plan, options.folder, options.accept_changed);  // refuses before anything changes
-  const fs::path cells = options.folder / "cells";
-  std::error_code problem;
-  fs::create_directories(cells, problem);
-  if (!fs::is_directory(cells)) throw Error(cells.string() + ": cannot be made: " + problem.message());
+  const auto earlier =
+      read_sweep(plan, options.folder, options.accept_changed).rows;  // refuses before anything changes
+  make_writable_folder(options.folder / "cells");
   write_identities(plan, options.folder);
-  return Sweep(plan, options).run();
+  return Sweep(plan, options).run(earlier);
 }
 
 }  // namespace weft

@@ -36,7 +36,7 @@ class CheckedTrajectory final : public Trajectory {
     return guard_.call("targets()", [&] {
       Positions targets = plugin_->targets(manipulation, state);
       guard_.want_size("targets(), counted in rows,", targets.rows(), hands_);
-      if (!all_finite(targets) && all_finite(state)) guard_.want_finite("a target from targets()", targets);
+      guard_.want_finite("a target from targets()", targets, state);
       return targets;
     });
   }
@@ -47,8 +47,7 @@ class CheckedTrajectory final : public Trajectory {
     return guard_.call("targets_pullback()", [&] {
       Vector d_state = plugin_->targets_pullback(manipulation, state, d_targets);
       guard_.want_size("the gradient from targets_pullback()", d_state.size(), std::ssize(states_));
-      if (!all_finite(d_state) && all_finite(state) && all_finite(d_targets))
-        guard_.want_finite("the gradient from targets_pullback()", d_state);
+      guard_.want_finite("the gradient from targets_pullback()", d_state, state, d_targets);
       return d_state;
     });
   }
@@ -68,8 +67,7 @@ class CheckedTrajectory final : public Trajectory {
     return guard_.call("advance()", [&] {
       Vector next = plugin_->advance(manipulation, state, control);
       guard_.want_size("the state from advance()", next.size(), std::ssize(states_));
-      if (!all_finite(next) && all_finite(state) && all_finite(control))
-        guard_.want_finite("the state from advance()", next);
+      guard_.want_finite("the state from advance()", next, state, control);
       return next;
     });
   }
@@ -83,10 +81,8 @@ class CheckedTrajectory final : public Trajectory {
       plugin_->advance_pullback(manipulation, state, control, d_next, d_state, d_control);
       guard_.want_size("d_state from advance_pullback()", d_state.size(), std::ssize(states_));
       guard_.want_size("d_control from advance_pullback()", d_control.size(), std::ssize(controls_));
-      if (all_finite(d_state) && all_finite(d_control)) return;
-      if (!all_finite(state) || !all_finite(control) || !all_finite(d_next)) return;
-      guard_.want_finite("d_state from advance_pullback()", d_state);
-      guard_.want_finite("d_control from advance_pullback()", d_control);
+      guard_.want_finite("d_state from advance_pullback()", d_state, state, control, d_next);
+      guard_.want_finite("d_control from advance_pullback()", d_control, state, control, d_next);
     });
   }
 
@@ -107,8 +103,7 @@ class CheckedTrajectory final : public Trajectory {
       Controls controls = plugin_->decode(x, horizon, state);
       guard_.want_size("decode(), counted in rows,", controls.rows(), horizon);
       guard_.want_size("decode(), counted in columns,", controls.cols(), std::ssize(controls_));
-      if (!all_finite(controls) && all_finite(x) && all_finite(state))
-        guard_.want_finite("a control from decode()", controls);
+      guard_.want_finite("a control from decode()", controls, x, state);
       return controls;
     });
   }
@@ -118,8 +113,7 @@ class CheckedTrajectory final : public Trajectory {
     return guard_.call("decode_pullback()", [&] {
       Vector d_x = plugin_->decode_pullback(x, horizon, state, d_controls);
       guard_.want_size("the gradient from decode_pullback()", d_x.size(), x.size());
-      if (!all_finite(d_x) && all_finite(x) && all_finite(state) && all_finite(d_controls))
-        guard_.want_finite("the gradient from decode_pullback()", d_x);
+      guard_.want_finite("the gradient from decode_pullback()", d_x, x, state, d_controls);
       return d_x;
     });
   }
@@ -129,7 +123,7 @@ class CheckedTrajectory final : public Trajectory {
     return guard_.call("encode()", [&] {
       Vector x = plugin_->encode(controls, state);
       guard_.want_size("x from encode()", x.size(), plugin_->decision_size(controls.rows()));
-      if (!all_finite(x) && all_finite(controls) && all_finite(state)) guard_.want_finite("x from encode()", x);
+      guard_.want_finite("x from encode()", x, controls, state);
       return x;
     });
   }

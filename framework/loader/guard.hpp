@@ -60,9 +60,10 @@ class Guard {
     if (got != wanted) [[unlikely]]
       fail_size(what, got, wanted);
   }
-  template <class Array>
-  void want_finite(const char* what, const Array& array) const {
-    if (!all_finite(array)) [[unlikely]]
+  /// @param given to the plugin: where that is not finite, the result need not be.
+  template <class Array, class... Given>
+  void want_finite(const char* what, const Array& array, const Given&... given) const {
+    if (!all_finite(array) && (all_finite(given) && ...)) [[unlikely]]
       fail(std::string(what) + " is not finite");
   }
   /// @throws WrongResult: "optimiser adam, planning, segment 3: <problem>; ..."

@@ -163,7 +163,7 @@ TEST(Identity, EveryCommandRefusesAUsedFolder) {
   // And what another command wrote.
   const Outcome other = weft_command(commands[0] + "--out " + quoted(files.folder / "used"));
   EXPECT_EQ(other.code, 2);
-  EXPECT_THAT(other.output, HasSubstr("they are of the command evaluate-estimation, this one is run"));
+  EXPECT_THAT(other.output, HasSubstr("they are of the command evaluate estimation, this one is run"));
 }
 
 // Case 10: session.h5 of two equal runs differed in bytes.
