@@ -132,8 +132,12 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
     }
     context.say(line.str());
   };
-  context.say(std::to_string(plan.arms.size()) + " arms, " + std::to_string(plan.seeds.size()) +
-              (plan.cases.empty() ? " seeds, " : " cases, ") + std::to_string(options.jobs) + " at a time");
+  const auto counted = [](std::size_t count, const std::string& what) {
+    return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
+  };
+  context.say(counted(plan.arms.size(), "arm") + ", " +
+              counted(plan.seeds.size(), plan.cases.empty() ? "seed" : "case") + ", " + std::to_string(options.jobs) +
+              " at a time");
   const auto rows = run_sweep(plan, options);
   const std::string json = ablation_json(plan, rows), times = ablation_times_json(plan, rows);
   write_text(folder / "ablation.csv", ablation_csv(plan, rows));

@@ -135,8 +135,8 @@ TEST(Program, ImportsAGarmentWithATaskThatFolds) {
   const Folder folder;
   const std::string file = folder.write("my sheet.obj", sheet_in_centimetres()).string();
   const std::string out = (folder / "out").string();
-  const Outcome import =
-      weft_command("garment import '" + file + "' --json --name 'middle=nearest(0.3,-0.3)' --out '" + out + "'");
+  const Outcome import = weft_command("garment import '" + file + "' --json --name 'middle=nearest(0.3,-0.3)' --out '" +
+                                      out + "' 2>/dev/null");
   ASSERT_EQ(import.code, 0) << import.output;
   const auto json = nlohmann::json::parse(import.output);
   EXPECT_EQ(json.at("garment"), "my_sheet");
@@ -171,6 +171,8 @@ TEST(Program, ImportsAGarmentWithATaskThatFolds) {
   EXPECT_EQ(show.code, 0);
   EXPECT_THAT(show.output, AllOf(StartsWith("name: my_sheet\nmesh: my_sheet.obj\n"), HasSubstr("hem: 48\n"),
                                  HasSubstr("middle: 24\n"), HasSubstr("top: 0\n")));
+  const Outcome as_json = weft_command("garment show '" + out + "/my_sheet.yaml' --name top=1 --json 2>/dev/null");
+  EXPECT_EQ(nlohmann::json::parse(as_json.output).at("vertices").at("top"), 0);
   const Outcome wrong = weft_command("garment show '" + out + "/my_sheet.obj' --name top=50");
   EXPECT_EQ(wrong.code, 2);
   EXPECT_THAT(wrong.output, HasSubstr("has only 49 vertices"));
