@@ -42,6 +42,11 @@ int run(Context& context, const std::string& file) {
     for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
     saved = saved.with("planning.replay_iterations", ConfigNode::sequence(counts));
   }
+  if (given.params.correction.time_budget_s > 0) {
+    std::vector<ConfigNode> dropped;
+    for (const Index segment : result.dropped_corrections) dropped.push_back(ConfigNode::integer(segment));
+    saved = saved.with("correction.dropped", ConfigNode::sequence(dropped));
+  }
   const std::string provenance = given.provenance(identity);
   const std::string summary = session_summary_json(result), times = session_times_json(result);
   make_writable_folder(folder);

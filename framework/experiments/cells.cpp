@@ -58,12 +58,14 @@ SweepOutcome session_outcome(const SessionResult& result) {
   hash.add(result.start.data(), sizeof(double) * result.start.size());
   if (result.true_material) hash.add(result.true_material->data(), sizeof(double) * 4);
   outcome.paired_by = hex_digits(hash.value());
-  double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, refinement_seconds = 0;
+  double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, correction_seconds = 0, simulations = 0;
   for (const auto& round : result.rounds) {
     evaluations += static_cast<double>(round.plan.evaluations);
     iterations += static_cast<double>(round.plan.iterations);
     seconds += round.plan.seconds;
-    refinement_seconds += round.refinement_seconds;
+    if (!round.correction) continue;
+    correction_seconds += round.correction->seconds;
+    simulations += static_cast<double>(round.correction->steps.size());
   }
   for (const auto& estimate : result.estimates) estimate_seconds += estimate.seconds;
   const bool planned = !result.rounds.empty();
@@ -78,12 +80,13 @@ SweepOutcome session_outcome(const SessionResult& result) {
       {"first_plan_evaluations", planned ? static_cast<double>(first.evaluations) : kNaN},
       {"evaluations", evaluations},
       {"iterations", iterations},
+      {"simulations", simulations},
   };
   outcome.times = {
       {"first_plan_seconds", planned ? first.seconds : kNaN},
       {"plan_seconds", seconds},
       {"estimate_seconds", estimate_seconds},
-      {"refinement_seconds", refinement_seconds},
+      {"correction_seconds", correction_seconds},
       {"simulate_seconds", result.simulate_seconds},
   };
   return outcome;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <tuple>
 
 #include "loader/where.hpp"
 #include "session/estimate_chain.hpp"
@@ -26,10 +27,11 @@ std::vector<std::vector<float>> held_frames(const SessionResult& result) {
   return frames;
 }
 
-std::vector<std::string> session_warnings(const SessionResult& result, const Estimator* estimator) {
+std::vector<std::string> session_warnings(const SessionResult& result, const SessionEstimator* estimator) {
   std::vector<std::string> warnings;
   const Index segments = result.rounds.size();
-  if (const Index most = estimator ? estimator->max_segments().value_or(segments) : segments; most < segments) {
+  if (const Index most = estimator ? estimator->network().max_segments().value_or(segments) : segments;
+      most < segments) {
     warnings.push_back("the predictor takes at most " + std::to_string(most) +
                        " segments; later estimates repeat the one after segment " + std::to_string(most));
   }
@@ -41,24 +43,6 @@ std::vector<std::string> session_warnings(const SessionResult& result, const Est
   return warnings;
 }
 
-/// The plan of one round, refined if the parameters ask for it.
-SessionRound plan_round(const RefinementParams& params, const SessionSetup& setup, PlanRequest request) {
-  SessionRound round;
-  round.state = request.state;
-  round.knowledge = request.knowledge;
-  round.plan = setup.planner->plan(request);
-  if (setup.refiner && request.round >= params.first && request.round - params.first < params.plans) {
-    request.warm_start = round.plan.controls;
-    Plan refined = setup.refiner->plan(request);
-    round.refinement_seconds = refined.seconds;
-    // Its seconds are recorded separately. Its curves, losses and prediction come from the simulator.
-    refined.seconds = round.plan.seconds;
-    refined.iterations = round.plan.iterations;
-    round.plan = std::move(refined);
-  }
-  return round;
-}
-
 SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, Host& host) {
   SessionSetup setup;
   setup.task = session_task(params, origin, host);
@@ -66,23 +50,14 @@ SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, H
   setup.knowledge = first_knowledge(params, origin, true_material_of(params));
   const auto predictor = bound_predictor(place(origin, "predictor"), task, host);
   setup.planner =
-      std::make_unique<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+      std::make_shared<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
   if (params.knowledge == "estimate") {
-    setup.estimator = std::make_unique<const Estimator>(
-        task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation, host);
+    setup.estimator =
+        std::make_unique<const SessionEstimator>(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
+                                                 params.estimation, params.correction.simulator, host);
   }
-  if (params.refinement.plans > 0) {
-    const auto simulation = bound_predictor(params.refinement.predictor, task, host);
-    PlannerParams refinement = params.planning;
-    refinement.instances = 1;
-    refinement.replan_iterations = params.refinement.iterations;
-    refinement.replan_scale = params.refinement.scale;
-    refinement.leeway = 0;
-    refinement.time_budget_s = 0.0;
-    refinement.replay_iterations.clear();
-    setup.refiner =
-        std::make_unique<const Planner>(task, simulation, host.create<Optimiser>(params.optimiser), refinement, host);
-  }
+  if (params.correction.simulations > 0)
+    setup.twin = std::make_shared<const Twin>(task, params.correction.simulator, host);
   setup.goal = read_goal(params.goal, origin, task);
   return setup;
 }
@@ -151,7 +126,7 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
                           const SessionProgress& progress) {
   const Task& task = setup.task;
   const auto& trajectory = *task.trajectory;
-  const Estimator* estimator = setup.estimator.get();
+  const SessionEstimator* estimator = setup.estimator.get();
   const auto seed = static_cast<std::uint64_t>(params.seed);
   SessionResult result;
   result.true_material = environment.true_material();
@@ -179,22 +154,33 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   result.error_mm = error_mm(first);
   EstimateChain chain(estimator, host, seed);
   chain.start(task, first, state, trajectory.controls().size());
-  MaterialKnowledge knowledge = setup.knowledge;
+  std::optional<PlanChain> plans;
+  if (setup.twin) plans.emplace(setup.planner, setup.twin, params.correction, host);
   Controls warm_start;
   // Plan, execute one segment, observe, re-plan, ..., release.
   while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
          !host.cancelled()) {
     const Index number = result.rounds.size();
-    if (estimator) knowledge = chain.knowledge(number - params.knowledge_lag);
-    SessionRound round = plan_round(params.refinement, setup,
-                                    {.shape = current,
-                                     .previous = previous,
-                                     .state = state,
-                                     .goal = goal,
-                                     .knowledge = knowledge,
-                                     .warm_start = warm_start,
-                                     .round = number,
-                                     .seed = seed});
+    SessionRound round;
+    round.state = state;
+    PlanRequest request{.shape = current,
+                        .previous = previous,
+                        .state = state,
+                        .goal = goal,
+                        .knowledge = setup.knowledge,
+                        .warm_start = warm_start,
+                        .round = number,
+                        .seed = seed};
+    if (!plans) {
+      if (estimator) request.knowledge = chain.knowledge(number - params.knowledge_lag);
+      round.plan = setup.planner->plan(request);
+      round.knowledge = request.knowledge;
+    } else {
+      const auto known =
+          estimator ? chain.knowledge_later(number - params.knowledge_lag) : [&setup] { return setup.knowledge; };
+      std::tie(round.plan, round.correction) = number == 0 ? plans->first(request) : plans->next(known);
+      round.knowledge = plans->knowledge();
+    }
     const Step segment("segment", number + 1);
     const Step execution("execution");
     const Vector control = round.plan.controls.row(0).transpose();
@@ -210,6 +196,7 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
     current = filled(seen, round.plan.shapes.front().mean);
     round.observed = *current;
     result.error_mm = error_mm(seen);
+    if (plans) plans->add(control, seen);
     if (estimator) chain.add(control, std::move(seen));
     warm_start = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
     if (warm_start.rows() == 0) warm_start = trajectory.default_controls(1);
@@ -217,6 +204,7 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
     result.rounds.push_back(std::move(round));
   }
   result.estimates = chain.all();
+  if (plans) result.dropped_corrections = plans->dropped();
   result.final_shape = environment.true_shape().value_or(*current);
   result.max_grasp_strain = environment.max_grasp_strain();
   if (auto frames = environment.frames()) result.frames = std::move(*frames);
