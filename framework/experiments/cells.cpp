@@ -2,9 +2,9 @@
 
 #include <algorithm>
 
-#include "experiments/cpu_time.hpp"
 #include "experiments/physics/suite.hpp"
 #include "experiments/statistics.hpp"
+#include "sdk/cpu_time.hpp"
 #include "sdk/fingerprint.hpp"
 #include "simulation/task_config.hpp"
 
@@ -18,6 +18,11 @@ SweepOutcome run_session_cell(const ConfigNode& config, Host& host) {
   // With one thread all work except the solvers' own arithmetic runs here, so other programs do not count.
   const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
   SweepOutcome outcome = session_outcome(result);
+  const PlanTimes times = plan_times(result, params.correction.lag);
+  outcome.times.emplace_back("first_plan_and_correction_seconds", times.first);
+  outcome.times.emplace_back("later_correction_p95_seconds", times.later);
+  outcome.times.emplace_back("late_plans", static_cast<double>(times.late));
+  outcome.times.emplace_back("session_cpu_seconds", result.cpu_seconds);
   outcome.times.emplace_back("cpu_seconds", cpu_seconds);
   return outcome;
 }

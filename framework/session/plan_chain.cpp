@@ -175,14 +175,24 @@ PlanChain::Outcome PlanChain::work(const Work& work) {
   } else {
     CorrectionRequest correction;
     correction.candidates = {planner_->point_of(request, request.warm_start)};
-    correction.simulations = params_.later_simulations;
     correction.radius =
         std::isfinite(work.error_mm) ? std::max(work.radius, kLaterRadius * params_.radius) : params_.radius;
     correction.keeps_plan = true;
     correction.is_new = !std::isfinite(work.error_mm);
+    correction.simulations = correction.is_new ? params_.simulations : params_.later_simulations;
     const bool is_done = std::isfinite(work.error_mm) && work.radius < kDoneRadius * params_.radius;
     correction.enough_mm = is_done ? work.error_mm + kWorse_mm : 0.0;
-    correction.more = [this, &request] { return planner_->plan(request).points; };
+    correction.more = [this, &request, &correction] {
+      std::vector<PlanPoint> points = planner_->plan(request).points;
+      if (!correction.is_new) return points;
+      // What is known now may ask for another fold than the one that was begun.
+      PlanRequest afresh = request;
+      afresh.warm_start.resize(0, request.warm_start.cols());
+      for (auto& point : planner_->plan(afresh).points) points.push_back(std::move(point));
+      std::stable_sort(points.begin(), points.end(),
+                       [](const PlanPoint& a, const PlanPoint& b) { return a.loss < b.loss; });
+      return points;
+    };
     const double radius = outcome.radius;
     outcome = corrected(request, std::move(correction), start, work.started);
     outcome.knowledge = request.knowledge;

@@ -5,6 +5,8 @@
 #include <tuple>
 
 #include "loader/where.hpp"
+#include "sdk/cpu_time.hpp"
+#include "sdk/quantile.hpp"
 #include "session/estimate_chain.hpp"
 #include "weft/config.hpp"
 #include "weft/random.hpp"
@@ -122,12 +124,36 @@ void rehearse_session(const SessionParams& params, const ConfigNode& origin, Hos
   make_setup(params, origin, host);
 }
 
+PlanTimes plan_times(const SessionResult& result, Index lag) {
+  PlanTimes times;
+  times.limit = static_cast<double>(std::max<Index>(1, lag) * kFramesPerSegment) * kFrameSeconds;
+  std::vector<double> later;
+  for (std::size_t j = 0; j < result.rounds.size(); ++j) {
+    const auto& round = result.rounds[j];
+    const double seconds =
+        round.plan.seconds * (j == 0 || !round.correction) + (round.correction ? round.correction->seconds : 0.0);
+    if (j == 0)
+      times.first = seconds;
+    else if (seconds > 0.0)
+      later.push_back(seconds);
+  }
+  times.plans = std::ssize(later) + (result.rounds.empty() ? 0 : 1);
+  times.late = times.first > PlanTimes::kFirst ? 1 : 0;
+  for (const double seconds : later) times.late += seconds > times.limit ? 1 : 0;
+  std::sort(later.begin(), later.end());
+  if (!later.empty()) times.later = quantile(later, 0.95);
+  return times;
+}
+
 SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
                           const SessionProgress& progress) {
   const Task& task = setup.task;
   const auto& trajectory = *task.trajectory;
   const SessionEstimator* estimator = setup.estimator.get();
   const auto seed = static_cast<std::uint64_t>(params.seed);
+  // With one thread all work except the solvers' own arithmetic runs here, so other sessions of this process do not count.
+  const auto cpu_seconds = [&] { return host.threads() == 1 ? thread_cpu_seconds() : process_cpu_seconds(); };
+  const double cpu_before = cpu_seconds();
   SessionResult result;
   result.true_material = environment.true_material();
   result.goal = setup.goal.shape;
@@ -176,8 +202,9 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
       round.plan = setup.planner->plan(request);
       round.knowledge = request.knowledge;
     } else {
-      const auto known =
-          estimator ? chain.knowledge_later(number - params.knowledge_lag) : [&setup] { return setup.knowledge; };
+      // The correction that starts now makes the plan of segment number + lag.
+      const Index seen = std::min<Index>(number, number + params.correction.lag - params.knowledge_lag);
+      const auto known = estimator ? chain.knowledge_later(seen) : [&setup] { return setup.knowledge; };
       std::tie(round.plan, round.correction) = number == 0 ? plans->first(request) : plans->next(known);
       round.knowledge = plans->knowledge();
     }
@@ -211,6 +238,7 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   if (result.frames.empty()) result.frames = held_frames(result);
   result.warnings = environment.warnings();
   for (auto& warning : session_warnings(result, estimator)) result.warnings.push_back(std::move(warning));
+  result.cpu_seconds = cpu_seconds() - cpu_before;
   return result;
 }
 

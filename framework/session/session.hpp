@@ -125,6 +125,7 @@ struct SessionResult {
   bool released = false;
   SettleResult settle;
   double simulate_seconds = 0.0;  ///< s in the environment's execute() and release()
+  double cpu_seconds = 0.0;       ///< s of the whole session, without making its goal
   std::optional<double> max_grasp_strain;
   /// Segments, from 0, at whose beginning a correction started that was dropped (correction.time_budget_s).
   std::vector<Index> dropped_corrections;
@@ -133,6 +134,18 @@ struct SessionResult {
   std::vector<std::vector<float>> frames;
   std::vector<std::string> warnings;
 };
+
+/// Wall times of the plans against the time that there is: 2 s for the first plan, and for a later one the `lag` segments
+/// that the hands move meanwhile, at least one.
+struct PlanTimes {
+  static constexpr double kFirst = 2.0;  ///< s
+  double first = 0.0;                    ///< s, its correction included
+  double later = 0.0;                    ///< s: 95th percentile of later plans or corrections
+  double limit = 0.0;                    ///< s for a later one
+  Index late = 0;                        ///< plans, the first included, that took longer
+  Index plans = 0;
+};
+PlanTimes plan_times(const SessionResult& result, Index lag);
 
 /// Called after every round, for progress.
 using SessionProgress = std::function<void(const SessionRound&, Index round, double error_to_goal_mm)>;

@@ -224,6 +224,7 @@ std::string session_times_json(const SessionResult& result) {
   ordered_json times{{"plan_seconds", plans}, {"estimate_seconds", estimates}};
   if (!corrections.empty()) times["correction_seconds"] = corrections;
   times["simulate_seconds"] = result.simulate_seconds;
+  times["cpu_seconds"] = result.cpu_seconds;
   return times.dump(2) + "\n";
 }
 
