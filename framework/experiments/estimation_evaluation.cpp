@@ -257,8 +257,8 @@ SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& da
     const std::uint64_t seed = seed_of(config);
     const Task task = make_task(params.task, config, host);
     const auto predictor = bound_predictor(place(config, "predictor"), task, host);
-    const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
-                              host);
+    const SessionEstimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
+                                     params.estimation, params.correction.simulator, host);
     const Example* known = cases.example(seed);
     const Example example = known != nullptr ? *known : make_released(task, data, seed, host);
     const Index vertices = task.garment->vertex_count();
