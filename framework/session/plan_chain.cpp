@@ -14,7 +14,7 @@ namespace {
 constexpr double kNever = std::numeric_limits<double>::infinity();
 constexpr double kSameMaterial = 1e-3;  // change of a normalised property below which the simulated past is kept
 constexpr double kSameShape = 2e-5;     // m: pulling the twin by less than this would only drop its contacts
-constexpr double kDoneRadius = 0.05;    // of the first radius; a plan whose radius is below is corrected
+constexpr double kStalledGain = 0.05;   // share of the loss; a correction that gains less has come to its end
 constexpr double kLaterRadius = 0.15;   // of the first radius: with which a later correction begins at least
 constexpr double kWorse_mm = 0.1;       // a forecast that got worse by more is corrected again
 
@@ -111,7 +111,8 @@ void PlanChain::start(const std::function<MaterialKnowledge()>& knowledge) {
                   .seen = seen_,
                   .knowledge = knowledge,
                   .error_mm = error_mm_,
-                  .radius = radius_};
+                  .radius = radius_,
+                  .stalled = stalled_};
   const bool beside = params_.lag > 0 && host_.threads() > 1;
   outcome_ =
       std::async(beside ? std::launch::async : std::launch::deferred, [this, task = *pending_] { return work(task); });
@@ -128,6 +129,7 @@ std::optional<CorrectionRecord> PlanChain::finish() {
     knowledge_ = outcome.knowledge;
     error_mm_ = outcome.corrected ? outcome.record.corrected_mm : kNever;
     radius_ = outcome.radius;
+    stalled_ = outcome.stalled;
     if (outcome.plan) plan_ = std::move(*outcome.plan);
   }
   pending_.reset();
@@ -180,8 +182,8 @@ PlanChain::Outcome PlanChain::work(const Work& work) {
     correction.keeps_plan = true;
     correction.is_new = !std::isfinite(work.error_mm);
     correction.simulations = correction.is_new ? params_.simulations : params_.later_simulations;
-    const bool is_done = std::isfinite(work.error_mm) && work.radius < kDoneRadius * params_.radius;
-    correction.enough_mm = is_done ? work.error_mm + kWorse_mm : 0.0;
+    // A plan that the last correction could not make better is only measured, unless it has got worse.
+    correction.enough_mm = work.stalled ? work.error_mm + kWorse_mm : 0.0;
     correction.more = [this, &request, &correction] {
       std::vector<PlanPoint> points = planner_->plan(request).points;
       if (!correction.is_new) return points;
@@ -214,6 +216,7 @@ PlanChain::Outcome PlanChain::corrected(const PlanRequest& request, CorrectionRe
   outcome.radius = result.radius;
   if (!std::isfinite(result.loss)) return outcome;
   outcome.corrected = true;
+  outcome.stalled = result.loss > (1.0 - kStalledGain) * result.steps.front().loss;
   outcome.record.corrected_mm = result.error_mm;
   Plan plan = planner_->plan_of(request, result.point);
   for (std::size_t j = 0; j < plan.shapes.size(); ++j) plan.shapes[j].mean = result.shapes[j];

@@ -57,6 +57,7 @@ class PlanChain {
     std::function<MaterialKnowledge()> knowledge;
     double error_mm = 0.0;  // of the plan in force, when last simulated; infinity: never
     double radius = 0.0;
+    bool stalled = false;
   };
   struct Outcome {
     std::optional<Plan> plan;  // none: the plan in force stays
@@ -64,6 +65,7 @@ class PlanChain {
     CorrectionRecord record;
     bool corrected = false;
     double radius = 0.0;
+    bool stalled = false;  // hardly better than the plan that it started from
   };
   Outcome work(const Work& work);
   Outcome corrected(const PlanRequest& request, CorrectionRequest correction, const TwinState& start, Index started);
@@ -81,6 +83,7 @@ class PlanChain {
   Plan plan_;         // in force
   MaterialKnowledge knowledge_;
   double error_mm_, radius_;  // of the plan in force
+  bool stalled_ = false;
   Controls executed_;
   std::vector<std::shared_ptr<const Observation>> seen_;
   std::optional<Work> pending_;

@@ -367,6 +367,7 @@ export function sessionPage(page: PageData): HTMLElement {
       tile('With the default control', 'default_error_mm', fixed(summary.default_error_mm), 'mm'),
       tile('Segments', 'segments', String(summary.segments), ''),
       tile('First plan', 'first_plan', duration(summary.plan_seconds[0] ?? 0), ''),
+      summary.correction_seconds ? tile('Corrections, median', 'corrections', duration(quantile(summary.correction_seconds, 0.5)), '') :
       tile('Later plans, median', 'later_plans', summary.plan_seconds.length > 1 ? duration(quantile(summary.plan_seconds.slice(1), 0.5)) : '–', ''),
       estimated ? tile('Estimates, median', 'estimates', duration(quantile(summary.estimate_seconds, 0.5)), '') : null),
     h('section', { 'aria-label': '3D view and playback' },
