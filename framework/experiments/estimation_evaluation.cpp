@@ -12,6 +12,7 @@
 #include "sdk/files.hpp"
 #include "session/replay.hpp"
 #include "session/session.hpp"
+#include "simulation/fold.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"
@@ -153,6 +154,18 @@ ordered_json estimation_times(const EvaluationColumn& column, std::size_t arm) {
            {{"median", json_number(quantile_of(seconds, 0.5))}, {"max", json_number(quantile_of(seconds, 1.0))}}}};
 }
 
+/// The manipulation of an example, executed again in the world.
+Example executed_in(const Task& world, const Example& example, Host& host) {
+  Example made = example;
+  const FoldResult fold = simulate_fold(*host.create<Simulator>(world.simulator), world, example.q, example.controls);
+  made.shapes.clear();
+  for (const auto& shape : fold.shapes) {
+    const auto frame = to_frame(shape);
+    made.shapes.insert(made.shapes.end(), frame.begin(), frame.end());
+  }
+  return made;
+}
+
 /// The manipulation of a fresh case. A draw that fails or never releases is skipped.
 Example make_released(const Task& task, const DataParams& data, std::uint64_t seed, Host& host) {
   const auto simulator = host.create<Simulator>(task.simulator);
@@ -260,7 +273,11 @@ SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& da
     const SessionEstimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
                                      params.estimation, params.correction.simulator, host);
     const Example* known = cases.example(seed);
-    const Example example = known != nullptr ? *known : make_released(task, data, seed, host);
+    const Task world = world_task(task, params.world, seed);
+    const bool is_as_recorded = known != nullptr && params.world.is_the_tasks();
+    const Example example = is_as_recorded     ? *known
+                            : known != nullptr ? executed_in(world, *known, host)
+                                               : make_released(world, data, seed, host);
     const Index vertices = task.garment->vertex_count();
     make_writable_folder(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, params.estimation.method));

@@ -49,9 +49,10 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
     const auto material = true_material_of(params);
     request.knowledge = first_knowledge(params, origin, material);
     SessionGoal goal = read_goal(params.goal, origin, task);
+    const Task world = world_task(task, params.world, seed);
     const auto environment =
-        make_environment(params.environment, origin, task, material, params.observation, seed, host);
-    result.goal = make_goal(std::move(goal), params.goal, task, seed, material, host).shape;
+        make_environment(params.environment, origin, world, material, params.observation, seed, host);
+    result.goal = make_goal(std::move(goal), params.goal, world, seed, material, host).shape;
     request.shape = filled_start(task, environment->observe());
     request.state = task.trajectory->initial_state(task.manipulation);
   }
@@ -87,6 +88,7 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
   const SessionEstimator estimator(task, bound_predictor(place(origin, "predictor"), task, host),
                                    host.create<Optimiser>(params.estimation_optimiser), params.estimation,
                                    params.correction.simulator, host);
+  const auto seed = static_cast<std::uint64_t>(params.seed);
   LoneEstimates result;
   Replay replay;
   if (recorded != nullptr) {
@@ -107,13 +109,13 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
           .fail("executes the fold, so the material is unknown; the simulated default fold needs true_material");
     }
     const Controls controls = task.trajectory->default_controls(params.goal.horizon);
-    FoldResult fold = simulate_fold(*host.create<Simulator>(task.simulator), task, *result.true_material, controls);
+    const Task world = world_task(task, params.world, seed);
+    FoldResult fold = simulate_fold(*host.create<Simulator>(world.simulator), world, *result.true_material, controls);
     replay.state = fold.states.row(0).transpose();
     replay.controls = controls.topRows(fold.segments);
     replay.shapes = std::move(fold.shapes);
   }
-  result.estimates =
-      replay_estimates(estimator, task, params.observation, replay, static_cast<std::uint64_t>(params.seed), host);
+  result.estimates = replay_estimates(estimator, task, params.observation, replay, seed, host);
   return result;
 }
 

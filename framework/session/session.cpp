@@ -109,6 +109,10 @@ Task session_task(const SessionParams& params, const ConfigNode& origin, Host& h
 void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task) {
   if (params.knowledge == "given" && (params.given_centre.empty() || params.given_width.empty()))
     place(origin, "knowledge").fail("= given, which needs given_centre and given_width, lists of 4 numbers in [0, 1]");
+  if (!params.environment.simulated() && !params.world.is_the_tasks()) {
+    must_be(place(origin, params.world.spread > 0.0 ? "world.spread" : "world.simulator"),
+            "left out with environment.command: the process is the world");
+  }
   vertex_weights(params.planning, task.garment->vertex_count(), origin);
 }
 
@@ -121,7 +125,7 @@ std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& t
 }
 
 void rehearse_session(const SessionParams& params, const ConfigNode& origin, Host& host) {
-  make_setup(params, origin, host);
+  check_world(params.world, make_setup(params, origin, host).task, host);
 }
 
 PlanTimes plan_times(const SessionResult& result, Index lag) {
@@ -247,12 +251,15 @@ SessionResult run_configured_session(const SessionParams& params, const ConfigNo
   SessionSetup setup = make_setup(params, origin, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
   const auto material = true_material_of(params);
+  const Task world = world_task(setup.task, params.world, seed);
   const auto environment = [&] {
     const Step step("making the environment");
-    return make_environment(params.environment, origin, setup.task, material, params.observation, seed, host);
+    return make_environment(params.environment, origin, world, material, params.observation, seed, host);
   }();
-  setup.goal = make_goal(std::move(setup.goal), params.goal, setup.task, seed, material, host);
-  return run_session(params, setup, *environment, host, progress);
+  setup.goal = make_goal(std::move(setup.goal), params.goal, world, seed, material, host);
+  SessionResult result = run_session(params, setup, *environment, host, progress);
+  result.world = world_record(setup.task, params.world, seed);
+  return result;
 }
 
 }  // namespace weft

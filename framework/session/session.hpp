@@ -10,6 +10,7 @@
 #include "session/observation.hpp"
 #include "session/plan_chain.hpp"
 #include "session/planner.hpp"
+#include "session/world.hpp"
 #include "simulation/task_config.hpp"
 
 namespace weft {
@@ -25,6 +26,7 @@ struct SessionParams {
   EnvironmentParams environment;
   ObservationParams observation;
   GoalParams goal;
+  WorldParams world;
   std::vector<double> true_material;
   std::string knowledge = "true";
   std::vector<double> given_centre, given_width;
@@ -53,6 +55,7 @@ struct SessionParams {
     v.group("environment", environment, "Executes the fold and observes the cloth.");
     v.group("observation", observation, "Errors and gaps of the observations.");
     v.group("goal", goal, "The shape to reach.");
+    v.group("world", world, "Where the world differs from the task.");
     v("true_material", true_material, range(0, 1),
       "q of the executed fold; default: drawn from the seed, or unknown if a process executes it.", property_list());
     v("knowledge", knowledge, choice({"none", "true", "given", "drawn", "estimate"}),
@@ -118,6 +121,7 @@ struct SessionResult {
   Positions start, goal, final_shape, default_shape;  ///< [V, 3] m
   Controls goal_controls;                             ///< [k, C] of a goal that was simulated, else 0 rows
   std::optional<MaterialProperties> true_material;
+  std::optional<WorldRecord> world;  ///< nullopt: the task's, or unknown
   /// [rounds]: the estimate after each round's segment. Beyond the predictor's max_segments() the last one stays. Empty
   /// unless knowledge is `estimate`.
   std::vector<Estimate> estimates;

@@ -207,6 +207,12 @@ std::string session_summary_json(const SessionResult& result) {
     summary["final_knowledge"] = {{"centre", list(last.centre)}, {"width", list(last.width)}};
   }
   summary["true_material"] = result.true_material ? ordered_json(list(*result.true_material)) : ordered_json();
+  summary["world"] = nullptr;
+  if (result.world) {
+    auto factors = ordered_json::object();
+    for (const auto& [name, factor] : result.world->factors) factors[name] = factor;
+    summary["world"] = {{"spread", result.world->spread}, {"simulator", result.world->simulator}, {"factors", factors}};
+  }
   summary["shapes"] = result.shapes_are_true ? "true" : "observed";
   summary["warnings"] = result.warnings;
   return summary.dump(2) + "\n";

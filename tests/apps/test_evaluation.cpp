@@ -190,6 +190,28 @@ TEST(EvaluateEstimation, ComparesMethodsOnHeldOutAndOnTrainingExamples) {
   EXPECT_EQ(without_seconds(json::parse(again.output)), without_seconds(result));
 }
 
+TEST(EvaluateEstimation, CasesAreExecutedInAnotherWorld) {
+  const Folder folder;
+  ASSERT_EQ(weft_command("generate " + kConfig + "--examples 24 --quiet --out " + quoted(folder / "data")).code, 0);
+  const std::string command = "evaluate estimation " + kConfig + kQuick +
+                              "--cases 1 --seed 5 --jobs 1 --quiet --data " + quoted(folder / "data");
+  for (const std::string source : {"fresh", "test"}) {
+    const auto shapes_of = [&](const std::string& name, const std::string& world) {
+      const auto out = folder / (source + name);
+      const Outcome outcome = weft_command(command + " --goals " + source + world + " --out " + quoted(out));
+      EXPECT_EQ(outcome.code, 0) << outcome.output;
+      return std::pair{read(out / "estimation.json")["cases"][0]["true_material"],
+                       Hdf5File::open(out / "cases.h5").read_float("/estimation/shapes")};
+    };
+    const auto in_task = shapes_of("-task", ""), same = shapes_of("-same", " --set world.spread=0");
+    const auto other = shapes_of("-other", " --set world.spread=0.2");
+    EXPECT_EQ(in_task, same) << source;
+    EXPECT_EQ(in_task.first, other.first) << source;
+    ASSERT_EQ(in_task.second.size(), other.second.size()) << source;
+    EXPECT_NE(in_task.second, other.second) << source;
+  }
+}
+
 TEST(Evaluate, RefusesWhatCannotWorkBeforeAnyWork) {
   const Folder folder;
   const auto refused = [&](const std::string& arguments) {
@@ -203,6 +225,7 @@ TEST(Evaluate, RefusesWhatCannotWorkBeforeAnyWork) {
   EXPECT_THAT(refused("planning " + kConfig + kQuick + "--goals tset"), HasSubstr("tset"));
   EXPECT_THAT(refused("planning " + kConfig + kQuick + "--widths 2"), HasSubstr("2"));
   EXPECT_THAT(refused("estimation " + kConfig + kQuick + "--set estimation.method=best"), HasSubstr("plain"));
+  EXPECT_THAT(refused("estimation " + kConfig + kQuick + "--set world.simulator=none"), HasSubstr("none"));
   EXPECT_THAT(refused("estimation " + kConfig + kQuick + "--set estimation.deviation_scale=[1]"),
               HasSubstr("4 numbers"));
 }
