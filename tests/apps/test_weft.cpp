@@ -213,8 +213,8 @@ TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {
   EXPECT_THAT(refused(range.string()), HasSubstr("range.yaml:3: planning.instances = 0, must be in [1, 4096]"));
   const auto plugin = folder.write("plugin.yaml", "extends: " + kTask + "\ntrajectory: {plugin: ark}\n");
   EXPECT_THAT(refused(plugin.string()), AllOf(HasSubstr("plugin.yaml:2: "), HasSubstr("'ark'; nearest: arc")));
-  const auto unused = folder.write("unused.yaml", "extends: " + kTask + "\nrefinement: {predictor: rolout}\n");
-  EXPECT_THAT(refused(unused.string()), AllOf(HasSubstr("unused.yaml:2: "), HasSubstr("'rolout'; nearest: rollout")));
+  const auto unused = folder.write("unused.yaml", "extends: " + kTask + "\ncorrection: {simulator: clooth}\n");
+  EXPECT_THAT(refused(unused.string()), AllOf(HasSubstr("unused.yaml:2: "), HasSubstr("'clooth'; nearest: cloth")));
   const auto yaml = folder.write("yaml.yaml", "a: [1\n");
   EXPECT_THAT(refused(yaml.string()), AllOf(HasSubstr("yaml.yaml:"), HasSubstr("not valid YAML")));
   EXPECT_THAT(refused(kTask, "--set planning.instances=none"),
@@ -233,12 +233,12 @@ TEST(Program, ASavedConfigRepeatsTheRunBitForBit) {
         weft_command("run '" + config.string() + "' --quiet --out '" + (folder / out).string() + "' " + options);
     ASSERT_EQ(outcome.code, 0) << outcome.output;
   };
-  run(task, "first", "--seed 12 --jobs 2 --set planning.iterations=3");
+  run(task, "first", "--seed 12 --jobs 2 --set planning.iterations=3 --set correction.simulator=cloth");
   // The saved config holds every default, also of plugins in groups.
   const ConfigNode saved = ConfigNode::load(folder / "first/config.yaml");
   const PluginRegistry plugins;
   EXPECT_EQ(plugins.resolve_slots(saved, describe_params<SessionParams>()).to_yaml(), saved.to_yaml());
-  EXPECT_TRUE(saved.at("refinement").at("predictor").at("params").has("carry_velocity"));
+  EXPECT_TRUE(saved.at("correction").at("simulator").at("params").has("max_substeps"));
   run(folder / "first/config.yaml", "again", "--jobs 1");
   EXPECT_EQ(text_of(folder / "again/config.yaml"), text_of(folder / "first/config.yaml"));
   const auto first = Hdf5File::open(folder / "first/session.h5"), again = Hdf5File::open(folder / "again/session.h5");
@@ -332,7 +332,7 @@ TEST(Program, TheShippedTaskFoldsWithTheShippedModel) {
   // The error was 1.2 mm when the model was made. A damaged or foreign model ends tens of millimetres off.
   EXPECT_LT(summary["error_mm"].get<double>(), 10.0);
   EXPECT_GT(summary["default_error_mm"].get<double>(), 40.0);
-  // The plugins that it used. The config names more: the refinement's rollout, the estimator's optimiser.
+  // The plugins that it used. The config names more: the simulator of corrections in another world.
   std::string used;
   const auto provenance = nlohmann::json::parse(text_of(folder / "provenance.json"));
   for (const auto& plugin : provenance.at("plugins"))
@@ -522,7 +522,7 @@ TEST(Program, DescribeShowsParametersWithUnitsRangesAndDefaults) {
   std::map<std::string, nlohmann::json> keys;
   for (const auto& key : experiment.at("params")) keys[key.at("name")] = key;
   EXPECT_EQ(keys["estimation.deviation_scale"].at("length"), 4);
-  EXPECT_EQ(keys["refinement.predictor"].at("slot"), "predictor");
+  EXPECT_EQ(keys["correction.simulator"].at("slot"), "simulator");
   EXPECT_EQ(keys["estimation.method"].at("choices").size(), 3u);
   // The keys of the task and of how examples are made: a dataset's identity consists of them.
   for (const char* name : {"seed", "garment", "settle.max_frames", "trajectory", "data.jitter"})

@@ -40,6 +40,14 @@ LEFT_OUT_OF_HDF5 = {"config", "provenance", "summary", "training", "checksum", "
 LEFT_OUT_OF_JSON = {"iterations_per_s", "threads", "dataset"}
 
 
+NETWORK_TASK = "tshirt_fold_network.yaml"
+
+
+def older(task):
+    """The task file of a tree from before NETWORK_TASK, where it does not have that."""
+    return task if Path(task).exists() else task.replace(NETWORK_TASK, "tshirt_fold.yaml")
+
+
 @dataclass
 class Run:
     """One command of weft and the files of its output folder to compare."""
@@ -57,7 +65,7 @@ class Run:
         return f"{self.piece}-{self.name}"
 
 
-def session(piece, name, seed, *settings, task="tshirt_fold.yaml"):
+def session(piece, name, seed, *settings, task=NETWORK_TASK):
     command = ["run", "{configs}/tasks/" + task, "--seed", str(seed)]
     for setting in settings:
         command += ["--set", setting]
@@ -115,6 +123,8 @@ class Tree:
         """Runs the command unless its results are there. Returns why it failed, or an empty string."""
         out = self.folder / run.key
         words = [word.replace("{configs}", str(self.configs)).replace("{runs}", str(self.folder)) for word in run.command]
+        # In older trees the task of the network alone is the default task.
+        words = [older(word) if word.endswith(NETWORK_TASK) else word for word in words]
         mark = json.dumps({"program": self.state, "command": words})
         record = out / "made_by.json"
         if record.is_file() and record.read_text() == mark:
