@@ -174,15 +174,15 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   };
 
   Vector state = trajectory.initial_state(task.manipulation);
-  const Observation first = environment.observe();
-  auto current = filled_start(task, first);
+  Observation seen = environment.observe();
+  auto current = filled_start(task, seen);
   std::shared_ptr<const Positions> previous;
   const auto goal = std::make_shared<const Positions>(result.goal);
   result.shapes_are_true = environment.true_shape().has_value();
   result.start = environment.true_shape().value_or(*current);
-  result.error_mm = error_mm(first);
+  result.error_mm = error_mm(seen);
   EstimateChain chain(estimator, host, seed);
-  chain.start(task, first, state, trajectory.controls().size());
+  chain.start(task, seen, state, trajectory.controls().size());
   MaterialKnowledge knowledge = setup.knowledge;
   Controls warm_start;
   // Plan, execute one segment, observe, re-plan, ..., release.
@@ -209,12 +209,12 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
       timed([&] { result.settle = environment.release(); });
       result.released = true;
     }
-    Observation seen = environment.observe();
+    seen = environment.observe();
     previous = current;
     current = filled(seen, round.plan.shapes.front().mean);
     round.observed = *current;
     result.error_mm = error_mm(seen);
-    if (estimator) chain.add(control, std::move(seen));
+    if (estimator) chain.add(control, seen);
     warm_start = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
     if (warm_start.rows() == 0) warm_start = trajectory.default_controls(1);
     if (progress) progress(round, number, result.error_mm);
@@ -222,6 +222,8 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   }
   result.estimates = chain.all();
   result.final_shape = environment.true_shape().value_or(*current);
+  result.errors =
+      shape_errors(result.final_shape, result.goal, task, result.shapes_are_true ? std::vector<bool>() : seen.observed);
   result.max_grasp_strain = environment.max_grasp_strain();
   if (auto frames = environment.frames()) result.frames = std::move(*frames);
   if (result.frames.empty()) result.frames = held_frames(result);
