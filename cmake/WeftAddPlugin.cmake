@@ -48,6 +48,10 @@ function(weft_add_plugin name)
   if(COMMAND weft_compile_options)
     weft_compile_options(${target})
     set_target_properties(${target} PROPERTIES INSTALL_RPATH "$ORIGIN/../..")  # CMAKE_INSTALL_RPATH is that of programs
+    if(NOT ARG_NO_INSTALL)
+      # The build tree has the same folders, so installing need not change the file, and with it its hash.
+      set_target_properties(${target} PROPERTIES BUILD_WITH_INSTALL_RPATH ON)
+    endif()
   else()
     weft_same_bytes_anywhere(${target})
   endif()

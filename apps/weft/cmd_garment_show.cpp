@@ -6,6 +6,7 @@
 #include "report/garment_page.hpp"
 #include "sdk/files.hpp"
 #include "weft/config.hpp"
+#include "weft/mesh.hpp"
 
 namespace weft::app {
 namespace {

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "commands.hpp"
+#include "output.hpp"
 #include "sdk/files.hpp"
 #include "weft/config.hpp"
 

@@ -29,10 +29,15 @@ int run(Context& context, const std::string& file) {
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
               (given.host->threads() == 1 ? " thread" : " threads"));
   const auto progress = [&](const SessionRound& round, Index number, double) {
-    char line[160];
-    std::snprintf(line, sizeof(line), "segment %2td  plan %5.1f s  %2td segments to go  predicted %5.1f mm%s",
-                  number + 1, round.plan.seconds, round.plan.controls.rows() - 1, round.plan.predicted_error_mm,
-                  round.plan.releases ? "" : "  (no release yet)");
+    char line[200], corrected[80] = "";
+    if (round.correction && !round.correction->steps.empty())
+      std::snprintf(corrected, sizeof(corrected), "  corrected from %.1f mm, %zu simulated%s",
+                    round.correction->forecast_mm, round.correction->steps.size(),
+                    round.correction->dropped ? ", dropped" : "");
+    const double seconds = round.plan.seconds + (round.correction ? round.correction->seconds : 0.0);
+    std::snprintf(line, sizeof(line), "segment %2td  plan %5.2f s  %2td segments to go  predicted %5.1f mm%s%s",
+                  number + 1, seconds, round.plan.controls.rows() - 1, round.plan.predicted_error_mm,
+                  round.plan.releases ? "" : "  (no release yet)", corrected);
     context.say(line);
   };
   const SessionResult result = run_configured_session(given.params, given.config, *given.host, progress);
@@ -47,6 +52,11 @@ int run(Context& context, const std::string& file) {
     std::vector<ConfigNode> counts;
     for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
     saved = saved.with("planning.replay_iterations", ConfigNode::sequence(counts));
+  }
+  if (given.params.correction.time_budget_s > 0) {
+    std::vector<ConfigNode> dropped;
+    for (const Index segment : result.dropped_corrections) dropped.push_back(ConfigNode::integer(segment));
+    saved = saved.with("correction.dropped", ConfigNode::sequence(dropped));
   }
   const std::string provenance = given.provenance(identity);
   const std::string summary = session_summary_json(result), times = session_times_json(result);
@@ -71,11 +81,14 @@ int run(Context& context, const std::string& file) {
                 result.default_error_mm, result.errors.iou, success_text(result.error_mm).c_str());
   context.say(line);
   if (!result.rounds.empty()) {
-    double replan = 0.0, estimate = 0.0;
-    for (std::size_t i = 1; i < result.rounds.size(); ++i) replan = std::max(replan, result.rounds[i].plan.seconds);
+    const PlanTimes plans = plan_times(result, given.params.correction.lag);
+    double estimate = 0.0;
     for (const auto& one : result.estimates) estimate = std::max(estimate, one.seconds);
-    std::snprintf(line, sizeof(line), "first plan %.2f s, slowest later plan %.2f s, slowest estimate %.2f s",
-                  result.rounds.front().plan.seconds, replan, estimate);
+    std::snprintf(
+        line, sizeof(line),
+        "first plan %.2f s (of %.0f), 95 %% of later plans %.2f s (of %.1f), slowest estimate %.2f s; %td of %td "
+        "plans late",
+        plans.first, PlanTimes::kFirst, plans.later, plans.limit, estimate, plans.late, plans.plans);
     context.say(line);
   }
   write_page(context, folder);

@@ -51,10 +51,10 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
   session = keep_params(given.config, describe_params<SessionParams>(), [](const ParamInfo&) { return true; });
   predictor_ = bound_predictor(place(given.config, "predictor"), task, host);
   const Planner planner(task, predictor_, host.create<Optimiser>(params.optimiser), params.planning, host);
-  if (params.refinement.plans > 0) bound_predictor(params.refinement.predictor, task, host);
+  if (params.correction.simulations > 0) Twin(task, params.correction.simulator, host);
   if (kind == "estimation") {
-    const Estimator estimator(task, predictor_, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
-                              host);
+    const SessionEstimator estimator(task, predictor_, host.create<Optimiser>(params.estimation_optimiser),
+                                     params.estimation, params.correction.simulator, host);
   }
   check_simulator(task.simulator, task, host);
   check_world(params.world, task, host);

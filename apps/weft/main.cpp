@@ -1,5 +1,6 @@
 #include <unistd.h>
 
+#include <csignal>
 #include <cstdio>
 #include <exception>
 
@@ -61,6 +62,8 @@ int main(int argc, char** argv) {
     }
     return app.exit(error) == 0 ? 0 : 2;
   }
+  // Writing beyond a limit on the size of files then fails like writing to a full disk, with a message.
+  std::signal(SIGXFSZ, SIG_IGN);
   install_crash_report(STDERR_FILENO, write_where);
   try {
     const CrashWatch watch;

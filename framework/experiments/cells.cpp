@@ -2,9 +2,9 @@
 
 #include <algorithm>
 
-#include "experiments/cpu_time.hpp"
 #include "experiments/physics/suite.hpp"
 #include "experiments/statistics.hpp"
+#include "sdk/cpu_time.hpp"
 #include "sdk/fingerprint.hpp"
 #include "simulation/task_config.hpp"
 
@@ -18,6 +18,11 @@ SweepOutcome run_session_cell(const ConfigNode& config, Host& host) {
   // With one thread all work except the solvers' own arithmetic runs here, so other programs do not count.
   const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
   SweepOutcome outcome = session_outcome(result);
+  const PlanTimes times = plan_times(result, params.correction.lag);
+  outcome.times.emplace_back("first_plan_and_correction_seconds", times.first);
+  outcome.times.emplace_back("later_correction_p95_seconds", times.later);
+  outcome.times.emplace_back("late_plans", static_cast<double>(times.late));
+  outcome.times.emplace_back("session_cpu_seconds", result.cpu_seconds);
   outcome.times.emplace_back("cpu_seconds", cpu_seconds);
   return outcome;
 }
@@ -58,12 +63,14 @@ SweepOutcome session_outcome(const SessionResult& result) {
   hash.add(result.start.data(), sizeof(double) * result.start.size());
   if (result.true_material) hash.add(result.true_material->data(), sizeof(double) * 4);
   outcome.paired_by = hex_digits(hash.value());
-  double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, refinement_seconds = 0;
+  double evaluations = 0, iterations = 0, seconds = 0, estimate_seconds = 0, correction_seconds = 0, simulations = 0;
   for (const auto& round : result.rounds) {
     evaluations += static_cast<double>(round.plan.evaluations);
     iterations += static_cast<double>(round.plan.iterations);
     seconds += round.plan.seconds;
-    refinement_seconds += round.refinement_seconds;
+    if (!round.correction) continue;
+    correction_seconds += round.correction->seconds;
+    simulations += static_cast<double>(round.correction->steps.size());
   }
   for (const auto& estimate : result.estimates) estimate_seconds += estimate.seconds;
   const bool planned = !result.rounds.empty();
@@ -82,6 +89,7 @@ SweepOutcome session_outcome(const SessionResult& result) {
       {"first_plan_evaluations", planned ? static_cast<double>(first.evaluations) : kNaN},
       {"evaluations", evaluations},
       {"iterations", iterations},
+      {"simulations", simulations},
   };
   for (const int limit : kSuccessLimitsMm)
     outcome.metrics.emplace_back(success_key(limit), succeeds(result.error_mm, limit) ? 1.0 : 0.0);
@@ -89,7 +97,7 @@ SweepOutcome session_outcome(const SessionResult& result) {
       {"first_plan_seconds", planned ? first.seconds : kNaN},
       {"plan_seconds", seconds},
       {"estimate_seconds", estimate_seconds},
-      {"refinement_seconds", refinement_seconds},
+      {"correction_seconds", correction_seconds},
       {"simulate_seconds", result.simulate_seconds},
   };
   return outcome;

@@ -270,8 +270,8 @@ SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& da
     const std::uint64_t seed = seed_of(config);
     const Task task = make_task(params.task, config, host);
     const auto predictor = bound_predictor(place(config, "predictor"), task, host);
-    const Estimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation,
-                              host);
+    const SessionEstimator estimator(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
+                                     params.estimation, params.correction.simulator, host);
     const Example* known = cases.example(seed);
     const Task world = world_task(task, params.world, seed);
     const bool is_as_recorded = known != nullptr && params.world.is_the_tasks();

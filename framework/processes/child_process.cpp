@@ -206,7 +206,7 @@ ChildProcess::ChildProcess(const ChildOptions& options) : state_(std::make_uniqu
   sigemptyset(&none);
   posix_spawnattr_setsigmask(&attributes, &none);
   sigemptyset(&standard);
-  for (const int signal : {SIGPIPE, SIGINT, SIGTERM}) sigaddset(&standard, signal);
+  for (const int signal : {SIGPIPE, SIGINT, SIGTERM, SIGXFSZ}) sigaddset(&standard, signal);
   posix_spawnattr_setsigdefault(&attributes, &standard);
   std::vector<std::string> words = options.command, settings = variables(options.environment);
   const int problem = posix_spawnp(&s.process, words.front().c_str(), &files, &attributes, pointers(words).data(),

@@ -29,7 +29,7 @@ namespace weft {
 namespace {
 
 constexpr char kMagic[8] = "wcrash1";
-constexpr int kFatal[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS, SIGTRAP, SIGXCPU, SIGXFSZ, SIGQUIT};
+constexpr int kFatal[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS, SIGTRAP, SIGXCPU, SIGQUIT};
 constexpr unsigned kCrashReportSeconds = 5;
 constexpr std::size_t kMostPlugins = 256;
 

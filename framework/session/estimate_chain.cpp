@@ -1,5 +1,7 @@
 #include "session/estimate_chain.hpp"
 
+#include <utility>
+
 namespace weft {
 
 void set_start(EstimateRequest& request, const Task& task, const Observation& seen) {
@@ -8,7 +10,33 @@ void set_start(EstimateRequest& request, const Task& task, const Observation& se
   request.start_height_sigma = seen.height_sigma;
 }
 
-EstimateChain::EstimateChain(const Estimator* estimator, Host& host, std::uint64_t seed)
+SessionEstimator::SessionEstimator(const Task& task, std::shared_ptr<const Predictor> predictor,
+                                   std::shared_ptr<const Optimiser> optimiser, const EstimatorParams& params,
+                                   const ConfigNode& simulator, Host& host)
+    : network_(task, predictor, std::move(optimiser), params, host) {
+  if (params.correction.simulations > 0)
+    corrector_.emplace(task, predictor, std::make_shared<const Twin>(task, simulator, host), params.correction, host);
+}
+
+Estimate SessionEstimator::next(EstimateRequest request, const Estimate* previous) const {
+  const Index segments = request.controls.rows();
+  if (segments > network_.max_segments().value_or(segments)) return *previous;
+  if (previous) request.previous = previous->knowledge;
+  if (!corrector_ || !corrector_->applies(segments)) return network_.estimate(request);
+  if (previous && previous->corrected) return corrector_->correct(request, *previous->corrected, false);
+  Estimate network = network_.estimate(request);
+  const MaterialProperties start = network.posterior ? network.posterior->mode : network.knowledge.centre;
+  Estimate corrected = corrector_->correct(request, start, true);
+  corrected.nll = network.nll;
+  corrected.misfit = network.misfit;
+  corrected.losses = network.losses;
+  corrected.iterations = network.iterations;
+  corrected.evaluations = network.evaluations;
+  corrected.seconds += network.seconds;
+  return corrected;
+}
+
+EstimateChain::EstimateChain(const SessionEstimator* estimator, Host& host, std::uint64_t seed)
     : estimator_(estimator), host_(host) {
   history_.seed = seed;
 }
@@ -24,21 +52,21 @@ void EstimateChain::add(ConstVec control, Observation seen) {
   history_.controls.bottomRows(1) = control.transpose();
   history_.observations.push_back(std::make_shared<const Observation>(std::move(seen)));
   history_.round = history_.controls.rows() - 1;
-  if (history_.controls.rows() > estimator_->max_segments().value_or(history_.controls.rows())) {
-    estimates_.push_back(estimates_.back());
-    return;
-  }
   const auto before = estimates_.empty() ? std::shared_future<Estimate>() : estimates_.back();
   const auto policy = host_.threads() > 1 ? std::launch::async : std::launch::deferred;
-  estimates_.push_back(std::async(policy, [this, before, request = history_]() mutable {
-                         if (before.valid()) request.previous = before.get().knowledge;
-                         return estimator_->estimate(request);
+  estimates_.push_back(std::async(policy, [this, before, request = history_] {
+                         return estimator_->next(request, before.valid() ? &before.get() : nullptr);
                        }).share());
 }
 
 MaterialKnowledge EstimateChain::knowledge(std::int64_t segments) const {
   if (segments <= 0) return MaterialKnowledge::none();
   return estimates_.at(segments - 1).get().knowledge;
+}
+
+std::function<MaterialKnowledge()> EstimateChain::knowledge_later(std::int64_t segments) const {
+  if (segments <= 0) return [] { return MaterialKnowledge::none(); };
+  return [estimate = estimates_.at(segments - 1)] { return estimate.get().knowledge; };
 }
 
 std::vector<Estimate> EstimateChain::all() const {

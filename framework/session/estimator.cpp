@@ -62,15 +62,11 @@ class EstimationObjective final : public Objective {
     is_certain_ = params.method == "posterior";
     const auto n = static_cast<double>(history.coordinates.size());
     per_coordinate_ = 1.0 / n;
-    if (!is_certain_) {
-      noise_share_ = 1.0;
-      return;
-    }
+    if (!is_certain_) return;
     const auto shapes = static_cast<double>(history.segments.size());
     // Errors shared by the shapes of a sequence do not average out: the design effect [Kish 1965, "Survey sampling"].
     information_ =
         std::min(n, params.effective_coordinates * shapes / (1.0 + (shapes - 1.0) * params.shape_correlation));
-    // The predictor's errors move together in blocks of coordinates, so measurement noise averages out in a block.
     noise_share_ = information_ / n;
     has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
     if (has_start_height_) {
@@ -207,7 +203,9 @@ class EstimationObjective final : public Objective {
         deviation(p) =
             span > 0 ? (b.sigma.data()[c.entry] - a.sigma.data()[c.entry]) / span * s / std::sqrt(variance) : 0.0;
       }
-      result.precision += weight / variance * (mean * mean.transpose() + 2.0 * deviation * deviation.transpose());
+      const PropertyVector in_block = std::sqrt(variance / block_variance_of(shapes[0], c)) * mean;
+      result.precision +=
+          weight / variance * (in_block * in_block.transpose() + 2.0 * deviation * deviation.transpose());
       result.gradient -= weight * error / variance * mean;
       result.gradient += weight * (1.0 - error * error / variance) / std::sqrt(variance) * deviation;
     }
@@ -230,6 +228,11 @@ class EstimationObjective final : public Objective {
   static constexpr Index kThickness = 3;
 
   double variance_of(const std::vector<ShapeDistribution>& shapes, const Coordinate& c) const {
+    const double s = shapes[c.shape].sigma.data()[c.entry], noise = history_.noise[c.shape];
+    return s * s + noise * noise;
+  }
+  /// Of the mean of a block of coordinates whose predictions err together: the measurement's noise averages out in it.
+  double block_variance_of(const std::vector<ShapeDistribution>& shapes, const Coordinate& c) const {
     const double s = shapes[c.shape].sigma.data()[c.entry], noise = history_.noise[c.shape];
     return s * s + noise_share_ * noise * noise;
   }

@@ -16,6 +16,46 @@
 
 namespace weft {
 
+/// Corrects estimates by simulations of the executed sequence.
+struct EstimateCorrectionParams {
+  std::int64_t simulations = 0;
+  std::int64_t later_simulations = 3;
+  std::int64_t segments = 3;
+  double radius = 0.15;
+  double least_step = 1e-3;
+  double difference_step = 0.02;
+  double effective_coordinates = 4.0;
+  double shape_correlation = 1.0;
+  double start_height_sigma_m = 1e-5;
+  std::vector<double> model_error;
+  std::vector<double> deviation_scale;
+
+  template <class Visitor>
+  void visit(Visitor& v) {
+    v("simulations", simulations, range(0, 1000),
+      "Simulated sequences of the first corrected estimate; 0: no estimate is corrected.");
+    v("later_simulations", later_simulations, range(0, 1000), "The same of every later estimate.");
+    v("segments", segments, range(1, 1000, "segments"),
+      "The first corrected estimate is made after this many segments. The loss is smooth there: release and settling "
+      "make it rough.");
+    v("radius", radius, range(1e-4, 1), "Largest change of a property in the first step.");
+    v("least_step", least_step, range(1e-9, 1), "A search ends with a step below this change of every property.");
+    v("difference_step", difference_step, range(1e-6, 0.5), "Step of the finite differences in the properties.");
+    v("effective_coordinates", effective_coordinates, range(1e-3, 1e9),
+      "Number of independent errors of the simulation in one shape.");
+    v("shape_correlation", shape_correlation, range(0, 1),
+      "Correlation rho of the simulation's errors between the shapes of a sequence. n shapes count as n / (1 + (n - 1) "
+      "rho).");
+    v("start_height_sigma_m", start_height_sigma_m, range(0, 1, "m"),
+      "As estimation.start_height_sigma_m. 0: the start height is not used.");
+    v("model_error", model_error, range(0, 1),
+      "Standard deviations of the properties that the simulator's errors as a model of real cloth add; default 0.01.",
+      property_list());
+    v("deviation_scale", deviation_scale, range(1e-3, 1e3), "Factors on the standard deviations; default 1.",
+      property_list());
+  }
+};
+
 struct EstimatorParams {
   std::string method = "posterior";
   std::int64_t instances = 8;
@@ -31,6 +71,7 @@ struct EstimatorParams {
   double start_height_sigma_m = 0.0002;
   double difference_step = 0.05;
   std::vector<double> deviation_scale;
+  EstimateCorrectionParams correction;
 
   template <class Visitor>
   void visit(Visitor& v) {
@@ -61,6 +102,7 @@ struct EstimatorParams {
       "posterior: factors on the standard deviations; default 1. `weft evaluate estimation` reports factors that "
       "calibrate them.",
       property_list());
+    v.group("correction", correction, "Corrects estimates by simulations.");
   }
 };
 
@@ -87,7 +129,10 @@ struct Estimate {
   std::vector<double> losses;  ///< [instances], residual
   SearchEnd ended;             ///< why the optimiser stopped
   Index iterations = 0;
-  Index evaluations = 0;  ///< points predicted, over all instances
+  Index evaluations = 0;                        ///< points predicted, over all instances
+  std::optional<MaterialProperties> corrected;  ///< q by simulations (EstimateCorrector)
+  Index simulations = 0;                        ///< simulated sequences of that
+  double residual_mm = 0.0;                     ///< root mean square of seen - simulated
   double seconds = 0.0;
 };
 

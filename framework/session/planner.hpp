@@ -67,8 +67,17 @@ struct PlanRequest {
   std::shared_ptr<const Positions> goal;      ///< [V, 3] m: s*
   MaterialKnowledge knowledge;
   Controls warm_start;  ///< the rest of the previous plan; 0 rows: the default trajectory
+  Index release = 0;    ///< 1-based segment at whose end the cloth is released; 0: the search chooses it
   Index round = 0;      ///< number of the plan in the session; keys the noise
   std::uint64_t seed = 0;
+};
+
+/// A plan as the optimiser sees it.
+struct PlanPoint {
+  Vector x;           ///< [D] decision vector of `horizon` segments
+  Index horizon = 0;  ///< b
+  Index release = 0;  ///< u of eq. 5
+  double loss = 0.0;  ///< planning loss, mm^2
 };
 
 struct Plan {
@@ -81,27 +90,26 @@ struct Plan {
   std::vector<double> losses;               ///< [instances], residual
   std::vector<std::vector<double>> curves;  ///< [iterations] of [instances]: best loss so far
   std::vector<ShapeDistribution> shapes;    ///< [u]: the winner's prediction after every segment
+  std::vector<PlanPoint> points;            ///< the best instance of every release segment, by ascending loss
   SearchEnd ended;                          ///< why the optimiser stopped
   Index iterations = 0;
   Index evaluations = 0;  ///< predicted points over all instances, finite differences included
   double seconds = 0.0;
 };
 
-/// L_act of eq. 4 prefers smooth trajectories that progress. It is the mean over the segments up to u of
-///     sum_c ((m_{j+1,c} - m_{j,c}) / scale_c)^2  +  slowness_weight max(0, 1 - b (p_j - p_{j-1}))^2,
-/// where p is the trajectory's progress. The second term is zero at a pace that reaches release within b segments.
-/// The paper states the purpose of this loss but not its form; this form is ours.
-double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
-                     Controls* gradient);
-/// The same as a sum of squares: L_act = |r|^2, r [(k-1) C + k] for k rows of controls; entries beyond u are zero.
-/// @param jacobian null, or set to dr / d controls row by row, [r, k C].
-Vector activity_residuals(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
-                          Matrix* jacobian);
-
 /// Weight of every vertex in the planning loss, [V], with mean 1, from `vertices` and `vertex_weights`.
 /// @param origin the node with `planning`, for messages.
 /// @throws ConfigError for an index out of range or repeated, for a wrong number of weights, or if their sum is 0.
 Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigNode& origin = {});
+
+/// A search in the neighbourhood of one plan, with a predictor whose mean is shifted.
+struct LocalSearch {
+  PlanPoint anchor;
+  Positions offset;        ///< [V, 3] m: added to the predicted mean
+  double radius = 1.0;     ///< |x - anchor| in units of the scales; no variable moves by more than twice its mean share
+  Index iterations = 20;   ///< of the optimiser
+  std::uint64_t seed = 0;  ///< of a stochastic optimiser
+};
 
 /// Trajectory planning (section 4). Uses the predictor for shapes and gradients, the optimiser for the search.
 class Planner {
@@ -112,12 +120,32 @@ class Planner {
   /// @throws Error if no instance reached a finite loss.
   Plan plan(const PlanRequest& request) const;
 
+  // For corrections of plans by a simulator (corrector.hpp).
+
+  /// The point whose controls are nearest to the given ones, as plan() would begin with them.
+  /// @param controls [u, C], u its release segment.
+  PlanPoint point_of(const PlanRequest& request, const Controls& controls) const;
+  /// [u, C], within the predictor's control range.
+  Controls controls_of(const PlanRequest& request, const PlanPoint& point) const;
+  /// The best point near an anchor, with the anchor's release segment and with its loss by the shifted predictor.
+  PlanPoint search_near(const PlanRequest& request, const LocalSearch& search) const;
+  /// Length of the step between two points of one horizon, in units of the scales, over the variables up to the release.
+  double distance(const PlanPoint& a, const PlanPoint& b) const;
+  /// The planning loss of a point (eq. 4) if the cloth ends in this shape. @param shape [V, 3] m.
+  double loss_of(const PlanRequest& request, const PlanPoint& point, const Positions& shape) const;
+  /// The prediction after every segment, [u]. @throws Error if the point cannot be predicted.
+  std::vector<ShapeDistribution> predict(const PlanRequest& request, const PlanPoint& point) const;
+  /// A plan of this point: controls, release, prediction and predicted error.
+  Plan plan_of(const PlanRequest& request, const PlanPoint& point) const;
+  Index horizon_of(const Controls& warm_start) const;
+
  private:
   Task task_;
   std::shared_ptr<const Predictor> predictor_;
   std::shared_ptr<const Optimiser> optimiser_;
   PlannerParams params_;
-  Vector weights_;  ///< [V]
+  PlannerParams mean_params_;  ///< with loss: mean
+  Vector weights_;             ///< [V]
   Host& host_;
 };
 

@@ -62,7 +62,7 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
   return result;
 }
 
-std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& task,
+std::vector<Estimate> replay_estimates(const SessionEstimator& estimator, const Task& task,
                                        const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
                                        Host& host) {
   require_shape("replay: shapes", replay.shapes.size(), replay.controls.rows() + 1);
@@ -77,9 +77,7 @@ std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& t
     request.observations.push_back(std::make_shared<const Observation>(
         observe_shape(replay.shapes[j], observation, seed, static_cast<std::uint64_t>(j))));
     request.round = j - 1;
-    const bool too_long = j > estimator.max_segments().value_or(j);
-    estimates.push_back(too_long ? estimates.back() : estimator.estimate(request));
-    request.previous = estimates.back().knowledge;
+    estimates.push_back(estimator.next(request, estimates.empty() ? nullptr : &estimates.back()));
   }
   return estimates;
 }
@@ -87,8 +85,9 @@ std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& t
 LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded,
                              Host& host) {
   const Task task = session_task(params, origin, host);
-  const Estimator estimator(task, bound_predictor(place(origin, "predictor"), task, host),
-                            host.create<Optimiser>(params.estimation_optimiser), params.estimation, host);
+  const SessionEstimator estimator(task, bound_predictor(place(origin, "predictor"), task, host),
+                                   host.create<Optimiser>(params.estimation_optimiser), params.estimation,
+                                   params.correction.simulator, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
   LoneEstimates result;
   Replay replay;

@@ -25,8 +25,8 @@ struct Replay {
 };
 /// Estimates after every segment, [k], as in a session with `knowledge: estimate` (section 5). Beyond the predictor's
 /// max_segments() the last one stays.
-/// @param seed of the observations' noise and of the searches. @throws ShapeError; as Estimator::estimate().
-std::vector<Estimate> replay_estimates(const Estimator& estimator, const Task& task,
+/// @param seed of the observations' noise and of the searches. @throws ShapeError; as SessionEstimator::next().
+std::vector<Estimate> replay_estimates(const SessionEstimator& estimator, const Task& task,
                                        const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
                                        Host& host);
 struct LoneEstimates {

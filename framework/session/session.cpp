@@ -2,8 +2,11 @@
 
 #include <algorithm>
 #include <chrono>
+#include <tuple>
 
 #include "loader/where.hpp"
+#include "sdk/cpu_time.hpp"
+#include "sdk/quantile.hpp"
 #include "session/estimate_chain.hpp"
 #include "weft/config.hpp"
 #include "weft/random.hpp"
@@ -26,10 +29,11 @@ std::vector<std::vector<float>> held_frames(const SessionResult& result) {
   return frames;
 }
 
-std::vector<std::string> session_warnings(const SessionResult& result, const Estimator* estimator) {
+std::vector<std::string> session_warnings(const SessionResult& result, const SessionEstimator* estimator) {
   std::vector<std::string> warnings;
   const Index segments = result.rounds.size();
-  if (const Index most = estimator ? estimator->max_segments().value_or(segments) : segments; most < segments) {
+  if (const Index most = estimator ? estimator->network().max_segments().value_or(segments) : segments;
+      most < segments) {
     warnings.push_back("the predictor takes at most " + std::to_string(most) +
                        " segments; later estimates repeat the one after segment " + std::to_string(most));
   }
@@ -41,24 +45,6 @@ std::vector<std::string> session_warnings(const SessionResult& result, const Est
   return warnings;
 }
 
-/// The plan of one round, refined if the parameters ask for it.
-SessionRound plan_round(const RefinementParams& params, const SessionSetup& setup, PlanRequest request) {
-  SessionRound round;
-  round.state = request.state;
-  round.knowledge = request.knowledge;
-  round.plan = setup.planner->plan(request);
-  if (setup.refiner && request.round >= params.first && request.round - params.first < params.plans) {
-    request.warm_start = round.plan.controls;
-    Plan refined = setup.refiner->plan(request);
-    round.refinement_seconds = refined.seconds;
-    // Its seconds are recorded separately. Its curves, losses and prediction come from the simulator.
-    refined.seconds = round.plan.seconds;
-    refined.iterations = round.plan.iterations;
-    round.plan = std::move(refined);
-  }
-  return round;
-}
-
 SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, Host& host) {
   SessionSetup setup;
   setup.task = session_task(params, origin, host);
@@ -66,23 +52,14 @@ SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, H
   setup.knowledge = first_knowledge(params, origin, true_material_of(params));
   const auto predictor = bound_predictor(place(origin, "predictor"), task, host);
   setup.planner =
-      std::make_unique<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+      std::make_shared<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
   if (params.knowledge == "estimate") {
-    setup.estimator = std::make_unique<const Estimator>(
-        task, predictor, host.create<Optimiser>(params.estimation_optimiser), params.estimation, host);
+    setup.estimator =
+        std::make_unique<const SessionEstimator>(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
+                                                 params.estimation, params.correction.simulator, host);
   }
-  if (params.refinement.plans > 0) {
-    const auto simulation = bound_predictor(params.refinement.predictor, task, host);
-    PlannerParams refinement = params.planning;
-    refinement.instances = 1;
-    refinement.replan_iterations = params.refinement.iterations;
-    refinement.replan_scale = params.refinement.scale;
-    refinement.leeway = 0;
-    refinement.time_budget_s = 0.0;
-    refinement.replay_iterations.clear();
-    setup.refiner =
-        std::make_unique<const Planner>(task, simulation, host.create<Optimiser>(params.optimiser), refinement, host);
-  }
+  if (params.correction.simulations > 0)
+    setup.twin = std::make_shared<const Twin>(task, params.correction.simulator, host);
   setup.goal = read_goal(params.goal, origin, task);
   return setup;
 }
@@ -151,12 +128,36 @@ void rehearse_session(const SessionParams& params, const ConfigNode& origin, Hos
   check_world(params.world, make_setup(params, origin, host).task, host);
 }
 
+PlanTimes plan_times(const SessionResult& result, Index lag) {
+  PlanTimes times;
+  times.limit = static_cast<double>(std::max<Index>(1, lag) * kFramesPerSegment) * kFrameSeconds;
+  std::vector<double> later;
+  for (std::size_t j = 0; j < result.rounds.size(); ++j) {
+    const auto& round = result.rounds[j];
+    const double seconds =
+        round.plan.seconds * (j == 0 || !round.correction) + (round.correction ? round.correction->seconds : 0.0);
+    if (j == 0)
+      times.first = seconds;
+    else if (seconds > 0.0)
+      later.push_back(seconds);
+  }
+  times.plans = std::ssize(later) + (result.rounds.empty() ? 0 : 1);
+  times.late = times.first > PlanTimes::kFirst ? 1 : 0;
+  for (const double seconds : later) times.late += seconds > times.limit ? 1 : 0;
+  std::sort(later.begin(), later.end());
+  if (!later.empty()) times.later = quantile(later, 0.95);
+  return times;
+}
+
 SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
                           const SessionProgress& progress) {
   const Task& task = setup.task;
   const auto& trajectory = *task.trajectory;
-  const Estimator* estimator = setup.estimator.get();
+  const SessionEstimator* estimator = setup.estimator.get();
   const auto seed = static_cast<std::uint64_t>(params.seed);
+  // With one thread all work except the solvers' own arithmetic runs here, so other sessions of this process do not count.
+  const auto cpu_seconds = [&] { return host.threads() == 1 ? thread_cpu_seconds() : process_cpu_seconds(); };
+  const double cpu_before = cpu_seconds();
   SessionResult result;
   result.true_material = environment.true_material();
   result.goal = setup.goal.shape;
@@ -174,31 +175,44 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   };
 
   Vector state = trajectory.initial_state(task.manipulation);
-  Observation seen = environment.observe();
-  auto current = filled_start(task, seen);
+  const Observation first = environment.observe();
+  auto current = filled_start(task, first);
   std::shared_ptr<const Positions> previous;
   const auto goal = std::make_shared<const Positions>(result.goal);
   result.shapes_are_true = environment.true_shape().has_value();
   result.start = environment.true_shape().value_or(*current);
-  result.error_mm = error_mm(seen);
+  result.error_mm = error_mm(first);
+  std::vector<bool> last_seen = first.observed;
   EstimateChain chain(estimator, host, seed);
-  chain.start(task, seen, state, trajectory.controls().size());
-  MaterialKnowledge knowledge = setup.knowledge;
+  chain.start(task, first, state, trajectory.controls().size());
+  std::optional<PlanChain> plans;
+  if (setup.twin) plans.emplace(setup.planner, setup.twin, params.correction, host);
   Controls warm_start;
   // Plan, execute one segment, observe, re-plan, ..., release.
   while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
          !host.cancelled()) {
     const Index number = result.rounds.size();
-    if (estimator) knowledge = chain.knowledge(number - params.knowledge_lag);
-    SessionRound round = plan_round(params.refinement, setup,
-                                    {.shape = current,
-                                     .previous = previous,
-                                     .state = state,
-                                     .goal = goal,
-                                     .knowledge = knowledge,
-                                     .warm_start = warm_start,
-                                     .round = number,
-                                     .seed = seed});
+    SessionRound round;
+    round.state = state;
+    PlanRequest request{.shape = current,
+                        .previous = previous,
+                        .state = state,
+                        .goal = goal,
+                        .knowledge = setup.knowledge,
+                        .warm_start = warm_start,
+                        .round = number,
+                        .seed = seed};
+    if (!plans) {
+      if (estimator) request.knowledge = chain.knowledge(number - params.knowledge_lag);
+      round.plan = setup.planner->plan(request);
+      round.knowledge = request.knowledge;
+    } else {
+      // The correction that starts now makes the plan of segment number + lag.
+      const Index seen = std::min<Index>(number, number + params.correction.lag - params.knowledge_lag);
+      const auto known = estimator ? chain.knowledge_later(seen) : [&setup] { return setup.knowledge; };
+      std::tie(round.plan, round.correction) = number == 0 ? plans->first(request) : plans->next(known);
+      round.knowledge = plans->knowledge();
+    }
     const Step segment("segment", number + 1);
     const Step execution("execution");
     const Vector control = round.plan.controls.row(0).transpose();
@@ -209,26 +223,30 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
       timed([&] { result.settle = environment.release(); });
       result.released = true;
     }
-    seen = environment.observe();
+    Observation seen = environment.observe();
     previous = current;
     current = filled(seen, round.plan.shapes.front().mean);
     round.observed = *current;
     result.error_mm = error_mm(seen);
-    if (estimator) chain.add(control, seen);
+    if (plans) plans->add(control, seen);
+    last_seen = seen.observed;
+    if (estimator) chain.add(control, std::move(seen));
     warm_start = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
     if (warm_start.rows() == 0) warm_start = trajectory.default_controls(1);
     if (progress) progress(round, number, result.error_mm);
     result.rounds.push_back(std::move(round));
   }
   result.estimates = chain.all();
+  if (plans) result.dropped_corrections = plans->dropped();
   result.final_shape = environment.true_shape().value_or(*current);
   result.errors =
-      shape_errors(result.final_shape, result.goal, task, result.shapes_are_true ? std::vector<bool>() : seen.observed);
+      shape_errors(result.final_shape, result.goal, task, result.shapes_are_true ? std::vector<bool>() : last_seen);
   result.max_grasp_strain = environment.max_grasp_strain();
   if (auto frames = environment.frames()) result.frames = std::move(*frames);
   if (result.frames.empty()) result.frames = held_frames(result);
   result.warnings = environment.warnings();
   for (auto& warning : session_warnings(result, estimator)) result.warnings.push_back(std::move(warning));
+  result.cpu_seconds = cpu_seconds() - cpu_before;
   return result;
 }
 

@@ -5,36 +5,16 @@
 #include <string>
 
 #include "session/environment.hpp"
-#include "session/estimator.hpp"
+#include "session/estimate_chain.hpp"
 #include "session/goal.hpp"
 #include "session/observation.hpp"
+#include "session/plan_chain.hpp"
 #include "session/planner.hpp"
 #include "session/shape_errors.hpp"
 #include "session/world.hpp"
 #include "simulation/task_config.hpp"
 
 namespace weft {
-
-/// Refines the network's plan by a few iterations with a simulator as the predictor.
-struct RefinementParams {
-  std::int64_t first = 0;
-  std::int64_t plans = 0;
-  std::int64_t iterations = 3;
-  double scale = 0.1;
-  ConfigNode predictor = ConfigNode::parse("{plugin: rollout}", "default");
-
-  template <class Visitor>
-  void visit(Visitor& v) {
-    v("first", first, range(0, 1000),
-      "Number of plans before the first refined one. With `knowledge: estimate` the first plans do not know the "
-      "material.");
-    v("plans", plans, range(0, 1000), "Number of refined plans in a session; 0: none.");
-    v("iterations", iterations, range(0, 10000), "Optimiser iterations of a refinement.");
-    v("scale", scale, range(1e-6, 1), "Typical change of a control in a refinement, relative to a first plan.");
-    v("predictor", predictor, PluginSlot{"predictor"},
-      "Predictor of the refinement, such as the simulator at the estimated material.");
-  }
-};
 
 struct SessionParams {
   TaskParams task;
@@ -43,7 +23,7 @@ struct SessionParams {
   ConfigNode estimation_optimiser = ConfigNode::parse("{plugin: rprop}", "default");
   PlannerParams planning;
   EstimatorParams estimation;
-  RefinementParams refinement;
+  CorrectionParams correction;
   EnvironmentParams environment;
   ObservationParams observation;
   GoalParams goal;
@@ -72,7 +52,7 @@ struct SessionParams {
     v("estimation_optimiser", estimation_optimiser, PluginSlot{"optimiser"}, "Optimiser plugin of the estimates.");
     v.group("planning", planning, "Trajectory planning (section 4).");
     v.group("estimation", estimation, "Material estimation (section 5).");
-    v.group("refinement", refinement, "Refines the network's plan with a simulator.");
+    v.group("correction", correction, "Corrects plans by simulations.");
     v.group("environment", environment, "Executes the fold and observes the cloth.");
     v.group("observation", observation, "Errors and gaps of the observations.");
     v.group("goal", goal, "The shape to reach.");
@@ -121,15 +101,15 @@ struct SessionRound {
   MaterialKnowledge knowledge;  ///< the plan's input
   /// [V, 3] m, observed after the segment (settled if it was the last). Unseen vertices are the plan's prediction.
   Positions observed;
-  double refinement_seconds = 0.0;
+  std::optional<CorrectionRecord> correction;  ///< the correction that ended before this segment
 };
 
 /// Planner, estimator, first knowledge and goal of a session.
 struct SessionSetup {
   Task task;
-  std::unique_ptr<const Planner> planner;
-  std::unique_ptr<const Planner> refiner;      ///< null: no plan is refined
-  std::unique_ptr<const Estimator> estimator;  ///< null unless knowledge is `estimate`
+  std::shared_ptr<const Planner> planner;
+  std::shared_ptr<const Twin> twin;                   ///< null: no plan is corrected
+  std::unique_ptr<const SessionEstimator> estimator;  ///< null unless knowledge is `estimate`
   MaterialKnowledge knowledge;
   SessionGoal goal;
 };
@@ -151,12 +131,27 @@ struct SessionResult {
   bool released = false;
   SettleResult settle;
   double simulate_seconds = 0.0;  ///< s in the environment's execute() and release()
+  double cpu_seconds = 0.0;       ///< s of the whole session, without making its goal
   std::optional<double> max_grasp_strain;
+  /// Segments, from 0, at whose beginning a correction started that was dropped (correction.time_budget_s).
+  std::vector<Index> dropped_corrections;
   /// As Environment::frames(). If the environment has none, each frame holds the observation before it, and settling is
   /// one frame.
   std::vector<std::vector<float>> frames;
   std::vector<std::string> warnings;
 };
+
+/// Wall times of the plans against the time that there is: 2 s for the first plan, and for a later one the `lag` segments
+/// that the hands move meanwhile, at least one.
+struct PlanTimes {
+  static constexpr double kFirst = 2.0;  ///< s
+  double first = 0.0;                    ///< s, its correction included
+  double later = 0.0;                    ///< s: 95th percentile of later plans or corrections
+  double limit = 0.0;                    ///< s for a later one
+  Index late = 0;                        ///< plans, the first included, that took longer
+  Index plans = 0;
+};
+PlanTimes plan_times(const SessionResult& result, Index lag);
 
 /// Called after every round, for progress.
 using SessionProgress = std::function<void(const SessionRound&, Index round, double error_to_goal_mm)>;

@@ -145,6 +145,30 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
 
 }  // namespace
 
+namespace {
+
+/// @param in_force the first segment of the plan that it made.
+nlohmann::ordered_json correction_json(const CorrectionRecord& record, std::size_t in_force) {
+  const auto number = [](double value) {
+    return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json();
+  };
+  auto steps = nlohmann::ordered_json::array();
+  for (const auto& step : record.steps) {
+    steps.push_back({{"release", step.release},
+                     {"found", step.is_candidate ? "candidate" : "search"},
+                     {"radius", step.radius},
+                     {"expected_mm2", number(step.expected)},
+                     {"loss_mm2", number(step.loss)},
+                     {"error_mm", step.error_mm},
+                     {"best", step.best}});
+  }
+  return {{"started", record.started},           {"in_force", in_force},
+          {"dropped", record.dropped},           {"forecast_mm", record.forecast_mm},
+          {"corrected_mm", record.corrected_mm}, {"simulations", steps}};
+}
+
+}  // namespace
+
 std::string session_summary_json(const SessionResult& result) {
   using nlohmann::ordered_json;
   const auto list = [](const auto& v) { return std::vector<double>(v.data(), v.data() + v.size()); };
@@ -174,6 +198,11 @@ std::string session_summary_json(const SessionResult& result) {
   summary["plan_iterations"] = iterations;
   summary["plan_ended"] = plan_ended;
   summary["predicted_error_mm"] = predicted;
+  auto corrections = ordered_json::array();
+  for (std::size_t j = 0; j < result.rounds.size(); ++j) {
+    if (const auto& done = result.rounds[j].correction) corrections.push_back(correction_json(*done, j));
+  }
+  if (!corrections.empty()) summary["corrections"] = corrections;
   auto estimate_ended = ordered_json::array();
   for (const auto& estimate : result.estimates) estimate_ended.push_back(to_json(estimate.ended));
   summary["estimate_ended"] = estimate_ended;
@@ -198,15 +227,16 @@ std::string session_summary_json(const SessionResult& result) {
 std::string session_times_json(const SessionResult& result) {
   using nlohmann::ordered_json;
   auto plans = ordered_json::array(), estimates = ordered_json::array();
-  double refinement = 0.0;
+  auto corrections = ordered_json::array();
   for (const auto& round : result.rounds) {
     plans.push_back(round.plan.seconds);
-    refinement += round.refinement_seconds;
+    if (round.correction) corrections.push_back(round.correction->seconds);
   }
   for (const auto& estimate : result.estimates) estimates.push_back(estimate.seconds);
   ordered_json times{{"plan_seconds", plans}, {"estimate_seconds", estimates}};
-  if (refinement > 0.0) times["refinement_seconds"] = refinement;
+  if (!corrections.empty()) times["correction_seconds"] = corrections;
   times["simulate_seconds"] = result.simulate_seconds;
+  times["cpu_seconds"] = result.cpu_seconds;
   return times.dump(2) + "\n";
 }
 

@@ -4,17 +4,12 @@
 
 namespace weft {
 
-FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material,
-                         const Controls& controls) {
-  FoldResult result;
-  simulator.reset(task.garment, task.material.at(material), task.scene);
-  simulator.grasp(task.manipulation.grasp_vertices);
-  Vector state = task.trajectory->initial_state(task.manipulation);
-  result.states.resize(controls.rows() + 1, state.size());
-  result.states.row(0) = state.transpose();
-  result.shapes.push_back(simulator.positions());
-  for (Index j = 0; j < controls.rows() && !result.released; ++j) {
-    const SegmentPath path = task.trajectory->segment(task.manipulation, state, controls.row(j).transpose());
+void continue_fold(Simulator& simulator, const Task& task, Vector state, const Controls& controls, FoldResult& result) {
+  const Index before = result.states.rows();
+  result.states.conservativeResize(before + controls.rows(), state.size());
+  Index executed = 0;
+  for (; executed < controls.rows() && !result.released; ++executed) {
+    const SegmentPath path = task.trajectory->segment(task.manipulation, state, controls.row(executed).transpose());
     for (const auto& targets : path.targets) simulator.step(targets);
     state = path.end_state;
     result.max_grasp_strain = std::max(result.max_grasp_strain, simulator.diagnostics().max_grasp_strain);
@@ -24,10 +19,21 @@ FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialP
       result.settle = simulator.settle(task.settle);
     }
     result.shapes.push_back(simulator.positions());
-    result.states.row(j + 1) = state.transpose();
-    ++result.segments;
+    result.states.row(before + executed) = state.transpose();
   }
-  result.states.conservativeResize(result.segments + 1, Eigen::NoChange);
+  result.segments += executed;
+  result.states.conservativeResize(before + executed, Eigen::NoChange);
+}
+
+FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material,
+                         const Controls& controls) {
+  FoldResult result;
+  simulator.reset(task.garment, task.material.at(material), task.scene);
+  simulator.grasp(task.manipulation.grasp_vertices);
+  const Vector state = task.trajectory->initial_state(task.manipulation);
+  result.states = state.transpose();
+  result.shapes.push_back(simulator.positions());
+  continue_fold(simulator, task, state, controls, result);
   return result;
 }
 

@@ -34,7 +34,7 @@ const Task& task_of(std::int64_t edge_um) {
   static const auto host = make_host(registry, HostOptions{.threads = 1, .checks = PluginChecks::none});
   const auto found = tasks.find(edge_um);
   if (found != tasks.end()) return found->second;
-  const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold.yaml");
+  const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold_network.yaml");
   TaskParams params;
   read_params(ConfigNode::mapping({{"garment", config.at("garment")},
                                    {"material", config.at("material")},

@@ -442,7 +442,7 @@ int main(int argc, char** argv) {
   fs::create_directories(folder);
   const auto registry = std::make_shared<PluginRegistry>();
   const auto host = make_host(registry, {});
-  const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold.yaml");
+  const ConfigNode config = ConfigNode::load(WEFT_SOURCE_DIR "/configs/tasks/tshirt_fold_network.yaml");
   SessionParams params;
   const ConfigNode resolved = read_params(config, params);
   const Task task = make_task(params.task, config, *host);

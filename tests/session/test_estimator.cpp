@@ -21,6 +21,8 @@ namespace {
 struct LinearWorld {
   PropertyVector strength = PropertyVector::Constant(0.02);  ///< m: size of a_p
   double sigma = 0.01;                                       ///< m
+  double sigma_slope = 0.0;                                  ///< m: sigma grows by this times the first property
+  double sigma_at(const PropertyVector& c) const { return sigma + sigma_slope * c(0); }
   PropertyVector slope(Index segment, Index coordinate) const {
     RandomStream random(77, static_cast<std::uint64_t>(segment), static_cast<std::uint64_t>(coordinate));
     PropertyVector a;
@@ -39,8 +41,8 @@ class LinearPrediction final : public Prediction {
         for (Index k = 0; k < shape.mean.size(); ++k) {
           const PropertyVector a = world.slope(j, k);
           shape.mean.data()[k] += a.dot(one.knowledge.centre);
-          shape.sigma.data()[k] =
-              std::sqrt(world.sigma * world.sigma + (a.cwiseProduct(one.knowledge.width)).squaredNorm() / 12.0);
+          shape.sigma.data()[k] = std::sqrt(std::pow(world.sigma_at(one.knowledge.centre), 2) +
+                                            (a.cwiseProduct(one.knowledge.width)).squaredNorm() / 12.0);
         }
         shapes_.back().push_back(shape);
       }
@@ -57,6 +59,8 @@ class LinearPrediction final : public Prediction {
         for (Index k = 0; k < cotangent.mean.size(); ++k) {
           const PropertyVector a = world_.slope(cases_[i].segments[s], k);
           result[i].centre += cotangent.mean.data()[k] * a;
+          result[i].centre(0) += cotangent.sigma.data()[k] * world_.sigma_slope *
+                                 world_.sigma_at(cases_[i].knowledge.centre) / shapes_[i][s].sigma.data()[k];
           result[i].width += cotangent.sigma.data()[k] / (12.0 * shapes_[i][s].sigma.data()[k]) *
                              a.cwiseAbs2().cwiseProduct(cases_[i].knowledge.width);
         }
@@ -360,6 +364,32 @@ TEST(Estimator, MeasurementNoiseWidensAndIsAccountedFor) {
   }
   EXPECT_GT(noisy, 2 * clean);
   EXPECT_NEAR(held, 0.8 * 4 * kCases, 0.1 * 4 * kCases);
+}
+
+TEST(Estimator, NoiseDoesNotPullTowardsMaterialsOfLargeSigma) {
+  // Sigma grows with the first property. Noise that is averaged before it is compared would look like a large sigma.
+  Bench bench;
+  bench.world.sigma = 0.001;
+  bench.world.sigma_slope = 0.02;
+  bench.params.effective_coordinates = 1.0;
+  double error = 0.0;
+  constexpr int kCases = 40;
+  for (int i = 0; i < kCases; ++i) {
+    const auto seed = static_cast<std::uint64_t>(8000 + i);
+    MaterialProperties q = draw(seed);
+    q(0) = 0.1;
+    auto request = bench.observe(q, seed);
+    RandomStream random(seed, 3);
+    for (auto& seen : request.observations) {
+      Observation with_noise = *seen;
+      with_noise.sigma = 0.01;
+      for (Index k = 0; k < with_noise.positions.size(); ++k)
+        with_noise.positions.data()[k] += with_noise.sigma * random.normal();
+      seen = std::make_shared<const Observation>(with_noise);
+    }
+    error += (bench.estimate(request).posterior->mode - q)(0) / kCases;
+  }
+  EXPECT_LT(std::abs(error), 0.06);
 }
 
 /// A cloth of thickness q = 0.7 that lies flat, in a world whose shapes do not depend on thickness.

@@ -8,7 +8,7 @@
 #include <thread>
 
 #include "optimiser/rprop/rprop.cpp"
-#include "session/planner.hpp"
+#include "session/planning_objective.hpp"
 #include "trajectory/arc/arc.cpp"
 #include "unit/serial_host.hpp"
 
@@ -350,6 +350,81 @@ TEST(PlanningObjective, HalfTheSquaredResidualsAreTheCostAndTheirJacobianGivesIt
     });
     setup.plan();
   }
+}
+
+TEST(PlanningObjective, AFixedReleaseIsKeptByAPenalty) {
+  Bench setup;
+  setup.params.activity_weight = 3.0;
+  const Controls steady = setup.task.trajectory->default_controls(25);
+  const Index u = setup.task.trajectory->release_segment(setup.task.manipulation, setup.request.state, steady);
+  for (const Index release : {u - 2, u - 1, u, u + 1, Index{25}, Index{1}}) {
+    setup.request.release = release;
+    const Vector weights = Vector::Ones(2);
+    PlanningObjective f(setup.task, *setup.predictor, setup.params, weights, setup.request, 25);
+    const Vector x = setup.task.trajectory->encode(steady, setup.request.state);
+    EXPECT_EQ(f.make_case(x).segments, std::vector<Index>{release});
+    const Evaluation e = f.evaluate(x, {0}, {.gradients = true, .residuals = true, .jacobians = true});
+    EXPECT_NEAR(0.5 * e.residuals.squaredNorm(), e.costs(0), 1e-9 * e.costs(0));
+    EXPECT_LT((e.jacobians[0].transpose() * e.residuals - e.gradients).norm(), 1e-4 * e.gradients.norm()) << release;
+    const double penalty = 0.5 * e.residuals.bottomRows(2).squaredNorm();
+    EXPECT_EQ(penalty > 0.0, release != u) << release;
+    const double shape_alone =
+        f.loss_of(setup.predictor->predict({f.make_case(x)}, {})->shapes().front().front().mean, f.decode(x), release);
+    EXPECT_NEAR(e.costs(0), shape_alone + penalty, 1e-9 * e.costs(0));
+    for (Index k = 0; k < x.size(); k += 7) {
+      const double step = 1e-6 * setup.task.trajectory->decision_scale(25)(k);
+      Vector up = x, down = x;
+      up(k) += step;
+      down(k) -= step;
+      const double expected = (f.evaluate(up, {0}, {}).costs(0) - f.evaluate(down, {0}, {}).costs(0)) / (2.0 * step);
+      EXPECT_NEAR(e.gradients(k, 0), expected, 1e-4 * e.gradients.norm()) << release << ", " << k;
+    }
+  }
+  setup.request.release = 26;
+  const Vector weights = Vector::Ones(2);
+  EXPECT_THROW(PlanningObjective(setup.task, *setup.predictor, setup.params, weights, setup.request, 25), ShapeError);
+}
+
+TEST(Planner, KeepsTheBestPlanOfEveryReleaseSegment) {
+  Bench setup;
+  setup.params.instances = 12;
+  setup.params.noise = 3.0;
+  setup.params.iterations = 3;
+  const Plan plan = setup.plan();
+  ASSERT_GE(plan.points.size(), 2u);
+  EXPECT_EQ(plan.points.front().loss, plan.loss);
+  EXPECT_EQ(plan.points.front().release, plan.controls.rows());
+  for (std::size_t i = 1; i < plan.points.size(); ++i) {
+    EXPECT_GE(plan.points[i].loss, plan.points[i - 1].loss);
+    for (std::size_t j = 0; j < i; ++j) EXPECT_NE(plan.points[i].release, plan.points[j].release);
+  }
+}
+
+TEST(Planner, SearchesNearAPlanWithAShiftedPredictor) {
+  Bench setup;
+  const Planner planner(setup.task, setup.predictor, setup.optimiser, setup.params, setup.host);
+  const Plan plan = planner.plan(setup.request);
+  const PlanPoint& anchor = plan.points.front();
+  EXPECT_EQ(planner.controls_of(setup.request, anchor), plan.controls);
+  // The real cloth ends 10 mm beside what is predicted. A goal that is shifted too is reached without a step.
+  LocalSearch search{.anchor = anchor, .offset = Positions::Constant(2, 3, 0.0)};
+  search.offset.col(0).setConstant(0.01);
+  const double before = planner.loss_of(setup.request, anchor, plan.shapes.back().mean + search.offset);
+  double last = before;
+  for (const double radius : {0.05, 0.3, 1.0}) {
+    search.radius = radius;
+    const PlanPoint found = planner.search_near(setup.request, search);
+    EXPECT_EQ(found.release, anchor.release);
+    EXPECT_LT(found.loss, last) << radius;
+    EXPECT_LE(planner.distance(found, anchor), 2.0 * radius * (1.0 + 1e-9));
+    EXPECT_EQ(planner.controls_of(setup.request, found).rows(), anchor.release);
+    last = found.loss;
+  }
+  EXPECT_LT(last, 0.5 * before);
+  // A plan that was cut after its release is found again as a point.
+  const PlanPoint again = planner.point_of(setup.request, plan.controls);
+  EXPECT_EQ(again.release, plan.controls.rows());
+  EXPECT_LT((planner.controls_of(setup.request, again) - plan.controls).cwiseAbs().maxCoeff(), 1e-12);
 }
 
 TEST(PlanningObjective, ExpectedLossAddsTheVarianceOfWhatCounts) {

@@ -198,29 +198,6 @@ TEST_F(Session, DrawnKnowledgeHoldsTheTruth) {
   }
 }
 
-TEST_F(Session, RefinementBringsThePlanCloserInTheSimulator) {
-  const std::vector<std::string> wrong = {"true_material=[0.5, 0.9, 0.5, 0.5]",
-                                          "planning={instances: 1, iterations: 3, replan_iterations: 0, horizon: 14}"};
-  const SessionResult plain = run(wrong), refined = run(with(wrong, {"refinement={plans: 1, iterations: 3}"}));
-  EXPECT_LT(refined.rounds.front().plan.predicted_error_mm, plain.rounds.front().plan.predicted_error_mm);
-  EXPECT_GT(refined.rounds.front().refinement_seconds, 0.0);
-  EXPECT_EQ(refined.rounds[1].refinement_seconds, 0.0);
-  EXPECT_EQ(plain.rounds.front().refinement_seconds, 0.0);
-}
-
-TEST_F(Session, RefinementUsesTheEstimatedMaterial) {
-  // No step is taken. The refined plan is the plan before it, judged by the simulator at the given material.
-  const SessionResult plain = run(kEstimate),
-                      refined = run(with(kEstimate, {"refinement={first: 2, plans: 1, iterations: 0}"}));
-  ASSERT_GE(refined.rounds.size(), 3u);
-  EXPECT_EQ(refined.rounds[1].refinement_seconds, 0.0);
-  EXPECT_GT(refined.rounds[2].refinement_seconds, 0.0);
-  EXPECT_EQ(refined.rounds[2].knowledge.centre, refined.estimates[0].knowledge.centre);
-  EXPECT_NE(refined.rounds[2].knowledge.centre, refined.true_material.value());
-  // The predictor of these sessions is the simulator, too, at the estimate.
-  EXPECT_NEAR(refined.rounds[2].plan.predicted_error_mm, plain.rounds[2].plan.predicted_error_mm, 1e-9);
-}
-
 TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
   const auto message = [&](const std::vector<std::string>& overrides) {
     return test::message_of<ConfigError>([&] { run(overrides); });

@@ -29,6 +29,15 @@ export interface Round {
 }
 /** Why a search ended: of the instance that won, and how many instances ended how. */
 export interface SearchEnd { status: string; message: string; instances: Record<string, number> }
+/** A correction of the plan by simulations (docs/file-formats.md). */
+export interface Correction {
+  started: number;
+  in_force: number;
+  dropped: boolean;
+  forecast_mm: number;
+  corrected_mm: number;
+  simulations: { release: number; found: string; error_mm: number; best: boolean }[];
+}
 export interface Summary {
   error_mm: number;
   default_error_mm: number;
@@ -47,7 +56,9 @@ export interface Summary {
   predicted_error_mm: number[];
   estimate_seconds: number[];
   simulate_seconds?: number;
-  refinement_seconds?: number;
+  /** Where plans were corrected by simulations. */
+  corrections?: Correction[];
+  correction_seconds?: number[];
   max_grasp_strain?: number | null;
   warnings: string[];
 }

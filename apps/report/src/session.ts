@@ -256,6 +256,11 @@ export function sessionPage(page: PageData): HTMLElement {
   const lossText = h('p', { class: 'note', id: 'loss-note' });
   function lossNote() {
     if (rounds.length === 0) return;
+    if (corrections.length > 0 && summary.plan_iterations[round] === 0) {
+      const made = corrections.find((one) => one.in_force === round && !one.dropped);
+      lossText.textContent = made ? `Round ${round + 1}: a corrected plan, the best of ${made.simulations.length} that were simulated; its loss is ${fixed(Math.min(...rounds[round].losses), 2)} mm².` : `Round ${round + 1}: the plan in force stays.`;
+      return;
+    }
     const won = `Round ${round + 1}: ${summary.plan_iterations[round]} iterations of ${rounds[round].losses.length} instances in ${duration(summary.plan_seconds[round])}; instance ${winner() + 1} won with ${fixed(Math.min(...rounds[round].losses))} mm²`;
     const ended = summary.plan_ended?.[round];
     lossText.textContent = `${won}${ended ? `. ${howItEnded(ended)}` : ''}.`;
@@ -294,6 +299,29 @@ export function sessionPage(page: PageData): HTMLElement {
       Plot.ruleY([0], { stroke: 'var(--line)' }),
     ],
   }));
+
+  // What each correction found, and what really happened.
+  const corrections = (summary.corrections ?? []).filter((one) => one.simulations.length > 0);
+  const correctionText = () => {
+    const simulated = total(corrections.map((one) => one.simulations.length));
+    const dropped = corrections.filter((one) => one.dropped).length;
+    return `${corrections.length} corrections, ${simulated} simulated plans${dropped ? `; ${dropped} came too late and were dropped` : ''}.`;
+  };
+  const correctionChart = chart('Simulated errors of the corrections', (width) => {
+    const tried = corrections.flatMap((one) => one.simulations.map((step) => ({ segment: one.in_force, error: step.error_mm })));
+    const links = corrections.map((one) => ({ segment: one.in_force, from: one.forecast_mm, to: one.corrected_mm }));
+    return {
+      x: { domain: [-0.3, Math.max(1, rounds.length)], ticks: wholeTicks(0, rounds.length, width), tickFormat: 'd', label: 'segments executed when in force' },
+      y: { type: 'sqrt', label: 'mm', grid: true, nice: true, domain: [0, Math.max(1, summary.error_mm, ...tried.map((row) => row.error))] },
+      marks: [
+        Plot.ruleY([summary.error_mm], { stroke: 'var(--c0)', strokeWidth: 2 }),
+        Plot.link(links, { x: 'segment', y1: 'from', y2: 'to', stroke: 'var(--c1)', strokeWidth: 1.5 }),
+        Plot.dot(tried, { x: 'segment', y: 'error', stroke: 'var(--muted)', r: 2.2 }),
+        Plot.dot(links, { x: 'segment', y: 'from', fill: 'var(--c2)', symbol: 'square', r: 3 }),
+        Plot.dot(links, { x: 'segment', y: 'to', fill: 'var(--c1)', r: 3.4, tip: true, title: (d) => `in force after ${d.segment} segments: ${fixed(d.from, 2)} mm forecast, ${fixed(d.to, 2)} mm corrected` }),
+      ],
+    };
+  }, { seek });
 
   const names = page.trajectory?.controls ?? rounds[0]?.controls[0]?.map((_, c) => ({ name: `control ${c + 1}`, unit: '' })) ?? [];
   // Lengths per frame are fractions of a millimetre.
@@ -340,6 +368,7 @@ export function sessionPage(page: PageData): HTMLElement {
       ...shapeTiles(summary),
       tile('Segments', 'segments', String(summary.segments), ''),
       tile('First plan', 'first_plan', duration(summary.plan_seconds[0] ?? 0), ''),
+      summary.correction_seconds ? tile('Corrections, median', 'corrections', duration(quantile(summary.correction_seconds, 0.5)), '') :
       tile('Later plans, median', 'later_plans', summary.plan_seconds.length > 1 ? duration(quantile(summary.plan_seconds.slice(1), 0.5)) : '–', ''),
       estimated ? tile('Estimates, median', 'estimates', duration(quantile(summary.estimate_seconds, 0.5)), '') : null),
     h('section', { 'aria-label': '3D view and playback' },
@@ -357,7 +386,10 @@ export function sessionPage(page: PageData): HTMLElement {
             session.true_material ? h('span', { class: 'sub' }, `true ${fixed(session.true_material[p], 2)}`) : null), knowledgeCharts[p].element))))),
       section('loss', 'Planning loss', null, lossText,
         key({ text: 'winner', colour: 'var(--c1)', style: 'line' }, { text: 'other instances', colour: 'var(--muted)', style: 'line' }), lossChart.element),
-      section('time', 'Time', `Planning ${duration(total(summary.plan_seconds))}${estimated ? `, estimating ${duration(total(summary.estimate_seconds))}` : ''}${summary.refinement_seconds ? `, refining ${duration(summary.refinement_seconds)}` : ''}, executing (simulator) ${duration(summary.simulate_seconds)} in all.`,
+      corrections.length === 0 ? null : section('corrections', 'Corrections by the simulator', correctionText(),
+        key({ text: 'plan in force, forecast', colour: 'var(--c2)' }, { text: 'best simulated plan', colour: 'var(--c1)' }, { text: 'other simulated plans', colour: 'var(--muted)' }, { text: 'what happened', colour: 'var(--c0)', style: 'line' }),
+        correctionChart.element),
+      section('time', 'Time', `Planning ${duration(total(summary.plan_seconds))}${estimated ? `, estimating ${duration(total(summary.estimate_seconds))}` : ''}${summary.correction_seconds ? `, correcting ${duration(total(summary.correction_seconds))}` : ''}, executing (simulator) ${duration(summary.simulate_seconds)} in all.`,
         key({ text: 'plan', colour: 'var(--c1)' }, ...(estimated ? [{ text: 'estimate', colour: 'var(--c2)' }] : [])), timeChart.element),
       h('div', { class: 'wide' }, section('controls', 'Controls', 'Per frame, constant within a segment.',
         key({ text: 'executed', colour: 'var(--executed)', style: 'line' }, { text: 'plan of the chosen round', colour: 'var(--planned)', style: 'dashed' }),

@@ -427,13 +427,13 @@ async function ablationPage() {
 /** The page of the command itself, over the session of realSession(). */
 async function realAblation() {
   const config = path.join(folder, 'ablation.yaml'), out = path.join(folder, 'real-ablation');
-  writeFileSync(config, 'description: does a step of the search help?\ntask: fold.yaml\nfactors: {search: {none: {planning: {iterations: 0}}, one: {planning: {iterations: 1}}, broken: {goal: {controls: [[1]]}}}}\nbaseline: none\nseeds: {first: 1, count: 2}\n');
-  run(weft, 'ablate', config, '--quiet', '--out', out);
+  writeFileSync(config, 'description: does a step of the search help?\ntask: fold.yaml\nfactors: {search: {none: {planning: {iterations: 0}}, one: {planning: {iterations: 1}}, broken: {goal: {controls: null, random: {min_distance_mm: 1000, attempts: 1}}}}}\nbaseline: none\nseeds: {first: 1, count: 2}\n');
+  assert.throws(() => run(weft, 'ablate', config, '--quiet', '--out', out), { status: 1 });  // two cells fail
   const ablation = json('real-ablation', 'ablation.json');
   const page = await open(path.join(out, 'report.html'));
   assert.equal(await page.locator('#arms tbody tr').count(), 3);
   assert.match(await text(page, '.warning'), /^Warning: 2 of 6 cells failed/);
-  assert.match(await page.locator('#failures pre').textContent(), /^broken, seed 1: .*goal\.controls/);
+  assert.match(await page.locator('#failures pre').textContent(), /^broken, seed 1: .*none of 1 random trajectories/);
   for (const arm of ablation.arms.filter((one) => one.done > 0)) {
     const shownText = await shown(page, `${arm.name} error_mm`);
     assert.ok(shownText.startsWith(arm.metrics.error_mm.mean.toFixed(2)), `${arm.name}: ${shownText}`);

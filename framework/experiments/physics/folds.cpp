@@ -6,7 +6,7 @@
 #include <limits>
 #include <numbers>
 
-#include "experiments/cpu_time.hpp"
+#include "sdk/cpu_time.hpp"
 #include "experiments/physics/sheets.hpp"
 #include "meshes/intersections.hpp"
 #include "simulation/fold.hpp"

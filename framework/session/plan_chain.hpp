@@ -1,0 +1,98 @@
+#pragma once
+#include <functional>
+#include <future>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "session/corrector.hpp"
+#include "session/shape_filter.hpp"
+
+namespace weft {
+
+/// What became of one correction of a session.
+struct CorrectionRecord {
+  Index started = 0;          ///< segments executed when it started
+  double forecast_mm = 0.0;   ///< simulated error of the plan that it started from
+  double corrected_mm = 0.0;  ///< simulated error of its best plan
+  std::vector<CorrectionStep> steps;
+  double seconds = 0.0;  ///< wall time
+  bool dropped = false;  ///< it took longer than the budget; the plan before it stayed in force
+};
+
+/// The plans of a session, corrected by a simulation that runs beside the execution. The simulated cloth (the twin) is
+/// carried along: it executes what the hands execute, and is pulled to every observation. A correction starts at the
+/// beginning of a segment from what is known then. It forecasts the cloth `lag` segments later with the controls that
+/// are already in force, corrects the rest of the plan from there, and is in force from there on. Counts, not times, fix
+/// what it does.
+class PlanChain {
+ public:
+  PlanChain(std::shared_ptr<const Planner> planner, std::shared_ptr<const Twin> twin, const CorrectionParams& params,
+            Host& host);
+  ~PlanChain();
+
+  /// The plan before the first segment. @param request of round 0; its knowledge is that of the corrections, unless
+  /// `next` is given other knowledge.
+  /// @return the plan in force, and its correction if there was one.
+  std::pair<Plan, std::optional<CorrectionRecord>> first(const PlanRequest& request);
+  /// The plan before a later segment: the rest of the plan in force, or the corrected plan that is due now. Starts the
+  /// next correction if none runs.
+  /// @param knowledge of that correction; called once, on another thread if the host has several.
+  std::pair<Plan, std::optional<CorrectionRecord>> next(const std::function<MaterialKnowledge()>& knowledge);
+  /// Adds an executed segment and what was seen after it.
+  void add(ConstVec control, const Observation& seen);
+  /// The knowledge that the plan in force was made with.
+  const MaterialKnowledge& knowledge() const { return knowledge_; }
+  /// Segments at whose beginning a correction started that was dropped.
+  const std::vector<Index>& dropped() const { return dropped_; }
+
+ private:
+  /// A correction that runs, or has run.
+  struct Work {
+    Index started = 0, due = 0;
+    PlanRequest base;  // goal, seed
+    Controls rest;     // of the plan in force, from `started` on
+    Controls executed;
+    std::vector<std::shared_ptr<const Observation>> seen;  // after each executed segment
+    std::function<MaterialKnowledge()> knowledge;
+    double error_mm = 0.0;  // of the plan in force, when last simulated; infinity: never
+    double radius = 0.0;
+    bool stalled = false;
+  };
+  struct Outcome {
+    std::optional<Plan> plan;  // none: the plan in force stays
+    MaterialKnowledge knowledge;
+    CorrectionRecord record;
+    bool corrected = false;
+    double radius = 0.0;
+    bool stalled = false;  // hardly better than the plan that it started from
+  };
+  Outcome work(const Work& work);
+  Outcome corrected(const PlanRequest& request, CorrectionRequest correction, const TwinState& start, Index started);
+  TwinState twin_at(const Work& work, const MaterialProperties& material);
+  void start(const std::function<MaterialKnowledge()>& knowledge);
+  std::optional<CorrectionRecord> finish();
+
+  std::shared_ptr<const Planner> planner_;
+  std::shared_ptr<const Twin> twin_;
+  CorrectionParams params_;
+  Host& host_;
+  Corrector corrector_;
+  ShapeFilter filter_;
+  PlanRequest base_;  // round 0
+  Plan plan_;         // in force
+  MaterialKnowledge knowledge_;
+  double error_mm_, radius_;  // of the plan in force
+  bool stalled_ = false;
+  Controls executed_;
+  std::vector<std::shared_ptr<const Observation>> seen_;
+  std::optional<Work> pending_;
+  std::future<Outcome> outcome_;
+  std::vector<TwinState> track_;  // at the start of every segment, at the material of its entries
+  std::vector<Index> dropped_;
+};
+
+/// What is left of a plan after its first segment.
+Plan rest_of(const Plan& plan);
+
+}  // namespace weft

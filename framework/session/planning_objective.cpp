@@ -1,0 +1,354 @@
+#include "session/planning_objective.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "session/instance_rows.hpp"
+#include "session/jvp.hpp"
+
+namespace weft {
+namespace {
+
+constexpr double kSquareMm = 1e6;  // m^2 to mm^2, so that losses are between 1 and 1e4
+/// A fixed release: progress passes 1 by this much in segment u, and stays as far below it before. 0.05 deg of 180.
+constexpr double kReleaseMargin = 0.05 / 180.0;
+constexpr double kReleaseWeight = 1e7;  // mm^2 per progress^2: 1 deg too far counts as 17 mm
+
+/// d progress / d state by central differences. Progress is a smooth function of a handful of state variables, so
+/// trajectory plugins need not write its gradient.
+Vector progress_gradient(const Trajectory& trajectory, const Vector& state) {
+  const auto variables = trajectory.state();
+  Vector gradient(state.size());
+  for (Index s = 0; s < state.size(); ++s) {
+    const double step = 1e-4 * variables[s].scale;
+    Vector up = state, down = state;
+    up(s) += step;
+    down(s) -= step;
+    gradient(s) = (trajectory.progress(up) - trajectory.progress(down)) / (2.0 * step);
+  }
+  return gradient;
+}
+
+/// dL/d controls from dL/d state after every segment [k, S].
+Controls states_pullback(const Task& task, ConstVec start, const Controls& controls, const Controls& d_states) {
+  Controls gradient = Controls::Zero(controls.rows(), controls.cols());
+  const auto add = [&](Index j, Vector& d_state) { d_state += d_states.row(j).transpose(); };
+  task.trajectory->pullback_states(task.manipulation, start, controls, add, gradient);
+  return gradient;
+}
+
+}  // namespace
+
+PlanningObjective::PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params,
+                                     const Vector& weights, const PlanRequest& request, Index horizon)
+    : task_(task),
+      predictor_(predictor),
+      params_(params),
+      weights_(weights),
+      request_(request),
+      horizon_(horizon),
+      moments_(params.loss == "expected" ? Moments::mean_and_sigma : Moments::mean),
+      range_(predictor.control_range()) {
+  if (request.release < 0 || request.release > horizon)
+    throw ShapeError("planning objective: release = " + std::to_string(request.release) + ", must be in [0, " +
+                     std::to_string(horizon) + "]");
+}
+
+ObjectiveCapabilities PlanningObjective::capabilities() const {
+  const Index controls = task_.trajectory->controls().size();
+  return {.gradients = predictor_.capabilities().gradients,
+          .residuals = shape_rows() + (horizon_ - 1) * controls + horizon_ + (request_.release > 0 ? 2 : 0)};
+}
+
+double PlanningObjective::shape_loss(const Positions& difference) const {
+  const Positions weighted = weights_.asDiagonal() * difference;
+  return kSquareMm / static_cast<double>(difference.size()) * weighted.cwiseProduct(difference).sum();
+}
+
+double PlanningObjective::loss_of(const Positions& shape, const Controls& controls, Index u) const {
+  Controls padded = task_.trajectory->default_controls(horizon_);
+  padded.topRows(controls.rows()) = controls;
+  return shape_loss(shape - *request_.goal) +
+         params_.activity_weight * activity_loss(task_, request_.state, padded, u, params_.slowness_weight, nullptr);
+}
+
+Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& instances,
+                                       const EvaluationRequest& wanted) {
+  require_shape("planning objective: x rows", x.rows(), dim());
+  require_shape("planning objective: instances", instances.size(), x.cols());
+  if (wanted.gradients && !capabilities().gradients)
+    throw Unsupported("planning objective: the predictor has no gradients");
+  const Index n = x.cols();
+  std::vector<PredictionCase> cases;
+  for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
+  const auto prediction = predict_in_rows(predictor_, cases, instances, params_.instances,
+                                          {.moments = moments_,
+                                           .gradients = wanted.gradients || uses_jvp(wanted),
+                                           .control_gradients = true,
+                                           .knowledge_gradients = false});
+  evaluations_ += n;
+
+  Evaluation result;
+  result.costs.resize(n);
+  std::vector<std::vector<ShapeCotangent>> cotangents(n);
+  std::vector<Controls> d_controls(n);  // of all but the shape
+  for (Index i = 0; i < n; ++i) {
+    cotangents[i].resize(1);
+    if (!prediction->failure(i).empty()) {
+      result.costs(i) = std::numeric_limits<double>::infinity();
+      continue;
+    }
+    // Row v is weighted by the vertex's weight, both in the loss and in its gradient.
+    const auto& shape = prediction->shapes()[i].front();
+    const Positions difference = shape.mean - *request_.goal;
+    const Positions weighted = weights_.asDiagonal() * difference;
+    const double weight = kSquareMm / static_cast<double>(difference.size());
+    const Index u = cases[i].segments.front();
+    const double activity = activity_loss(task_, request_.state, cases[i].controls, u, params_.slowness_weight,
+                                          wanted.gradients ? &d_controls[i] : nullptr);
+    std::vector<Controls> d_release;
+    const Vector release = release_residuals(cases[i].controls, wanted.gradients ? &d_release : nullptr);
+    result.costs(i) = weight * weighted.cwiseProduct(difference).sum() + params_.activity_weight * activity +
+                      0.5 * release.squaredNorm();
+    if (wanted.gradients) {
+      d_controls[i] *= params_.activity_weight;
+      for (Index k = 0; k < release.size(); ++k) d_controls[i] += release(k) * d_release[k];
+    }
+    if (wanted.gradients) cotangents[i].front().mean = 2.0 * weight * weighted;
+    if (moments_ == Moments::mean) continue;
+    // E |x - s*|^2 = |mu - s*|^2 + sigma^2
+    const Positions weighted_sigma = weights_.asDiagonal() * shape.sigma;
+    result.costs(i) += weight * weighted_sigma.cwiseProduct(shape.sigma).sum();
+    if (wanted.gradients) cotangents[i].front().sigma = 2.0 * weight * weighted_sigma;
+  }
+  if (wanted.gradients) {
+    const auto gradients = prediction->pullback(cotangents);
+    result.gradients = Matrix::Zero(dim(), n);
+    for (Index i = 0; i < n; ++i) {
+      if (!std::isfinite(result.costs(i))) continue;
+      Controls total = gradients[i].controls + d_controls[i];
+      limit_gradient(x.col(i), total);
+      result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
+    }
+  }
+  if (wanted.residuals || wanted.jacobians) add_residuals(x, cases, *prediction, wanted.jacobians, result);
+  return result;
+}
+
+PredictionCase PlanningObjective::make_case(ConstVec x) const {
+  PredictionCase one{.shape = request_.shape, .previous = request_.previous, .state = request_.state};
+  one.controls = decode(x);
+  one.knowledge = request_.knowledge;
+  one.segments = {request_.release > 0
+                      ? request_.release
+                      : task_.trajectory->release_segment(task_.manipulation, request_.state, one.controls)};
+  return one;
+}
+
+Controls PlanningObjective::decode(ConstVec x) const {
+  Controls controls = task_.trajectory->decode(x, horizon_, request_.state);
+  if (range_) {
+    for (Index j = 0; j < controls.rows(); ++j)
+      controls.row(j) = range_->clamp(controls.row(j).transpose()).transpose();
+  }
+  return controls;
+}
+
+/// A clamped control gets no gradient outwards, but keeps one inwards.
+void PlanningObjective::limit_gradient(ConstVec x, Controls& gradient) const {
+  if (!range_) return;
+  const Controls wanted = task_.trajectory->decode(x, horizon_, request_.state);
+  for (Index j = 0; j < wanted.rows(); ++j) {
+    for (Index c = 0; c < wanted.cols(); ++c) {
+      const bool outwards = (wanted(j, c) < range_->lower(c) && gradient(j, c) > 0.0) ||
+                            (wanted(j, c) > range_->upper(c) && gradient(j, c) < 0.0);
+      if (outwards) gradient(j, c) = 0.0;
+    }
+  }
+}
+
+Vector PlanningObjective::release_residuals(const Controls& controls, std::vector<Controls>* gradients) const {
+  const Index u = request_.release;
+  if (u == 0) return {};
+  const auto& trajectory = *task_.trajectory;
+  const Controls states = trajectory.segment_states(task_.manipulation, request_.state, controls);
+  const double root = std::sqrt(2.0 * kReleaseWeight);
+  Vector residuals = Vector::Zero(2);
+  if (gradients) gradients->assign(2, Controls::Zero(controls.rows(), controls.cols()));
+  // Entry 0: not released after segment u - 1. Entry 1: released after segment u.
+  for (Index k = u == 1 ? 1 : 0; k < 2; ++k) {
+    const Index j = u - 2 + k;
+    const Vector state = states.row(j).transpose();
+    const double side = k == 0 ? 1.0 : -1.0;
+    const double excess = side * (trajectory.progress(state) - 1.0) + kReleaseMargin;
+    if (excess <= 0.0) continue;
+    residuals(k) = root * excess;
+    if (!gradients) continue;
+    Controls d_states = Controls::Zero(controls.rows(), states.cols());
+    d_states.row(j) = root * side * progress_gradient(trajectory, state).transpose();
+    (*gradients)[k] = states_pullback(task_, request_.state, controls, d_states);
+  }
+  return residuals;
+}
+
+/// d controls / dx up to the release segment u, row by row: [u C, D]. Later controls have no effect.
+Matrix PlanningObjective::decoding(ConstVec x, const PredictionCase& one) const {
+  const Index controls = one.controls.cols();
+  Matrix decode(one.segments.front() * controls, dim());
+  Controls unit = Controls::Zero(one.controls.rows(), controls);
+  const Controls uncut = task_.trajectory->decode(x, horizon_, request_.state);
+  for (Index k = 0; k < decode.rows(); ++k) {
+    if (uncut.data()[k] != one.controls.data()[k]) {  // clamped: no effect
+      decode.row(k).setZero();
+      continue;
+    }
+    unit.data()[k] = 1.0;
+    decode.row(k) = task_.trajectory->decode_pullback(x, horizon_, request_.state, unit).transpose();
+    unit.data()[k] = 0.0;
+  }
+  return decode;
+}
+
+/// Eq. 4 as 1/2 |r|^2. Jacobian and gradient hold the release segment u fixed.
+void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases,
+                                      const Prediction& prediction, bool with_jacobians, Evaluation& result) {
+  const Index rows = capabilities().residuals, columns = dim(), n = x.cols();
+  const Index coordinates = request_.goal->size();
+  Vector shape_weight(coordinates);
+  for (Index k = 0; k < coordinates; ++k)
+    shape_weight(k) = std::sqrt(2.0 * kSquareMm * weights_(k / 3) / static_cast<double>(coordinates));
+  const auto flat = [](const Positions& p) { return Eigen::Map<const Vector>(p.data(), p.size()); };
+  const double activity_weight = std::sqrt(2.0 * params_.activity_weight);
+  result.residuals = Matrix::Zero(rows, n);
+  if (with_jacobians) result.jacobians.assign(n, Matrix::Zero(rows, columns));
+  std::vector<std::vector<CaseDirection>> directions(n);
+  std::vector<std::vector<Index>> variables(directions.size());  // of x, one per direction
+  for (Index i = 0; i < n; ++i) {
+    if (!std::isfinite(result.costs(i))) continue;
+    const auto& one = cases[i];
+    const Index u = one.segments.front();
+    const auto& shape = prediction.shapes()[i].front();
+    const Positions difference = shape.mean - *request_.goal;
+    result.residuals.col(i).head(coordinates) = shape_weight.cwiseProduct(flat(difference));
+    if (moments_ != Moments::mean)
+      result.residuals.col(i).segment(coordinates, coordinates) = shape_weight.cwiseProduct(flat(shape.sigma));
+    Matrix d_activity;
+    const Vector activity = activity_residuals(task_, request_.state, one.controls, u, params_.slowness_weight,
+                                               with_jacobians ? &d_activity : nullptr);
+    std::vector<Controls> d_release;
+    const Vector release = release_residuals(one.controls, with_jacobians ? &d_release : nullptr);
+    result.residuals.col(i).segment(shape_rows(), activity.size()) = activity_weight * activity;
+    result.residuals.col(i).tail(release.size()) = release;
+    if (!with_jacobians) continue;
+    const Matrix decode = decoding(x.col(i), one);
+    result.jacobians[i].middleRows(shape_rows(), activity.size()) =
+        activity_weight * d_activity.leftCols(decode.rows()) * decode;
+    for (Index k = 0; k < release.size(); ++k) {
+      const auto row = Eigen::Map<const Eigen::RowVectorXd>(d_release[k].data(), decode.rows());
+      result.jacobians[i].row(shape_rows() + activity.size() + k) = row * decode;
+    }
+    for (Index k = 0; k < columns; ++k) {
+      if (decode.col(k).isZero(0.0)) continue;
+      CaseDirection direction;
+      direction.controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+      Eigen::Map<Vector>(direction.controls.data(), decode.rows()) = decode.col(k);
+      directions[i].push_back(std::move(direction));
+      variables[i].push_back(k);
+    }
+  }
+  if (!with_jacobians) return;
+  const auto derivatives = jvp(predictor_, prediction, cases, directions, *task_.trajectory, moments_,
+                               {.step = params_.difference_step}, &evaluations_);
+  for (std::size_t i = 0; i < variables.size(); ++i) {
+    for (std::size_t k = 0; k < variables[i].size(); ++k) {
+      const auto& change = derivatives[i][k].front();
+      auto column = result.jacobians[i].col(variables[i][k]);
+      column.head(coordinates) = shape_weight.cwiseProduct(flat(change.mean));
+      if (moments_ != Moments::mean)
+        column.segment(coordinates, coordinates) = shape_weight.cwiseProduct(flat(change.sigma));
+    }
+  }
+}
+
+Vector activity_residuals(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
+                          Matrix* jacobian) {
+  const auto& trajectory = *task.trajectory;
+  const auto variables = trajectory.controls();
+  const Index horizon = controls.rows(), columns = controls.cols();
+  const Controls states = trajectory.segment_states(task.manipulation, state, controls);
+  Vector residuals = Vector::Zero((horizon - 1) * columns + horizon);
+  if (jacobian) *jacobian = Matrix::Zero(residuals.size(), controls.size());
+  const double root = std::sqrt(1.0 / static_cast<double>(u));
+  for (Index j = 0; j + 1 < u; ++j) {
+    for (Index c = 0; c < columns; ++c) {
+      const double factor = root / variables[c].scale;
+      const Index row = j * columns + c;
+      residuals(row) = factor * (controls(j + 1, c) - controls(j, c));
+      if (jacobian) {
+        (*jacobian)(row, row + columns) = factor;
+        (*jacobian)(row, row) = -factor;
+      }
+    }
+  }
+  const double pace = std::max(1e-9, 1.0 - trajectory.progress(state)) / static_cast<double>(horizon);
+  const double slow_root = root * std::sqrt(slowness_weight);
+  for (Index j = 0; j < u; ++j) {
+    const Vector after = states.row(j).transpose();
+    const Vector before = j == 0 ? Vector(state) : Vector(states.row(j - 1).transpose());
+    const double slowness = 1.0 - (trajectory.progress(after) - trajectory.progress(before)) / pace;
+    if (slowness <= 0.0) continue;
+    const Index row = (horizon - 1) * columns + j;
+    residuals(row) = slow_root * slowness;
+    if (jacobian) {
+      Controls d_states = Controls::Zero(horizon, states.cols());
+      d_states.row(j) = -slow_root / pace * progress_gradient(trajectory, after).transpose();
+      if (j > 0) d_states.row(j - 1) = slow_root / pace * progress_gradient(trajectory, before).transpose();
+      const Controls gradient = states_pullback(task, state, controls, d_states);
+      jacobian->row(row) = Eigen::Map<const Eigen::RowVectorXd>(gradient.data(), gradient.size());
+    }
+  }
+  return residuals;
+}
+
+double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
+                     Controls* gradient) {
+  const auto& trajectory = *task.trajectory;
+  const auto variables = trajectory.controls();
+  const Index horizon = controls.rows();
+  const Controls states = trajectory.segment_states(task.manipulation, state, controls);
+  Controls d_states = Controls::Zero(horizon, states.cols());
+  if (gradient) *gradient = Controls::Zero(horizon, controls.cols());
+  double loss = 0.0;
+  const double per_segment = 1.0 / static_cast<double>(u);
+  for (Index j = 0; j + 1 < u; ++j) {
+    for (Index c = 0; c < controls.cols(); ++c) {
+      const double scale = variables[c].scale;
+      const double jump = (controls(j + 1, c) - controls(j, c)) / scale;
+      loss += per_segment * jump * jump;
+      if (gradient) {
+        (*gradient)(j + 1, c) += 2.0 * per_segment * jump / scale;
+        (*gradient)(j, c) -= 2.0 * per_segment * jump / scale;
+      }
+    }
+  }
+  // A segment is slow if its pace is below the remaining progress divided by b segments.
+  const double remaining = std::max(1e-9, 1.0 - trajectory.progress(state));
+  const double pace = remaining / static_cast<double>(horizon);
+  for (Index j = 0; j < u; ++j) {
+    const Vector after = states.row(j).transpose();
+    const Vector before = j == 0 ? Vector(state) : Vector(states.row(j - 1).transpose());
+    const double slowness = 1.0 - (trajectory.progress(after) - trajectory.progress(before)) / pace;
+    if (slowness <= 0.0) continue;
+    loss += per_segment * slowness_weight * slowness * slowness;
+    if (gradient) {
+      const double d_progress = -2.0 * per_segment * slowness_weight * slowness / pace;
+      d_states.row(j) += d_progress * progress_gradient(trajectory, after).transpose();
+      if (j > 0) d_states.row(j - 1) -= d_progress * progress_gradient(trajectory, before).transpose();
+    }
+  }
+  if (gradient && !d_states.isZero(0.0)) *gradient += states_pullback(task, state, controls, d_states);
+  return loss;
+}
+
+}  // namespace weft

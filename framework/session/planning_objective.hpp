@@ -1,0 +1,64 @@
+#pragma once
+#include <optional>
+#include <vector>
+
+#include "session/planner.hpp"
+
+namespace weft {
+
+/// Eq. 4 on a batch of decision vectors: the loss of planning. With PlanRequest::release the release segment u is fixed,
+/// and a penalty keeps it there: the cloth must be released in segment u and not before.
+class PlanningObjective final : public Objective {
+ public:
+  /// All arguments must live as long as the objective. @param weights [V].
+  PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params, const Vector& weights,
+                    const PlanRequest& request, Index horizon);
+
+  Index dim() const override { return task_.trajectory->decision_size(horizon_); }
+  /// Residuals: 3 V of the shape, with `loss: expected` also 3 V of sigma, then those of the activity loss, then, where
+  /// the release segment is fixed, two of the penalty. Cost = 1/2 |r|^2 up to rounding.
+  ObjectiveCapabilities capabilities() const override;
+  Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override;
+
+  /// The case of one decision vector. It requests only the shape after the release segment u (eq. 5).
+  PredictionCase make_case(ConstVec x) const;
+  /// Controls of a decision vector, [horizon, C], clamped to the predictor's control range.
+  Controls decode(ConstVec x) const;
+  /// The loss if the plan ended in this shape. @param shape [V, 3] m. @param u its release segment.
+  double loss_of(const Positions& shape, const Controls& controls, Index u) const;
+  Index evaluations() const { return evaluations_; }
+
+ private:
+  double shape_loss(const Positions& difference) const;
+  /// The penalty's residuals, [2] or [0]. @param gradients null, or set to their gradients with respect to the controls.
+  Vector release_residuals(const Controls& controls, std::vector<Controls>* gradients) const;
+  void limit_gradient(ConstVec x, Controls& gradient) const;
+  Index shape_rows() const { return (moments_ == Moments::mean ? 1 : 2) * request_.goal->size(); }
+  bool uses_jvp(const EvaluationRequest& wanted) const { return wanted.jacobians && predictor_.capabilities().jvp; }
+  void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
+                     bool with_jacobians, Evaluation& result);
+  Matrix decoding(ConstVec x, const PredictionCase& one) const;
+
+  const Task& task_;
+  const Predictor& predictor_;
+  const PlannerParams& params_;
+  const Vector& weights_;
+  const PlanRequest& request_;
+  Index horizon_;
+  Moments moments_;
+  std::optional<Box> range_;  // [C]
+  Index evaluations_ = 0;
+};
+
+/// L_act of eq. 4 prefers smooth trajectories that progress. It is the mean over the segments up to u of
+///     sum_c ((m_{j+1,c} - m_{j,c}) / scale_c)^2  +  slowness_weight max(0, 1 - b (p_j - p_{j-1}))^2,
+/// where p is the trajectory's progress. The second term is zero at a pace that reaches release within b segments.
+/// The paper states the purpose of this loss but not its form; this form is ours.
+double activity_loss(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
+                     Controls* gradient);
+/// The same as a sum of squares: L_act = |r|^2, r [(k-1) C + k] for k rows of controls; entries beyond u are zero.
+/// @param jacobian null, or set to dr / d controls row by row, [r, k C].
+Vector activity_residuals(const Task& task, ConstVec state, const Controls& controls, Index u, double slowness_weight,
+                          Matrix* jacobian);
+
+}  // namespace weft

@@ -1,0 +1,194 @@
+// Plans and estimates that the simulator corrects.
+#include <cmath>
+#include <numeric>
+
+#include "session/estimate_corrector.hpp"
+#include "session/plan_chain.hpp"
+#include "session/shape_filter.hpp"
+#include "session/towel_session.hpp"
+#include "session/twin.hpp"
+#include "simulation/fold.hpp"
+#include "weft/random.hpp"
+
+namespace weft {
+namespace {
+
+using testing::Each;
+using testing::HasSubstr;
+
+/// A session whose predictor is wrong by millimetres, as a network is: another simulator.
+const std::vector<std::string> kWrong = {
+    "predictor={plugin: rollout, params: {simulator: {plugin: bullet}}}", "goal.controls=[2.3, 0, 0.1, 0, 0]",
+    "planning={instances: 2, iterations: 4, replan_iterations: 1, horizon: 12}", "true_material=[0.4, 0.6, 0.5, 0.5]"};
+
+class Correction : public Session {
+ protected:
+  SessionResult corrected(const std::vector<std::string>& more = {}, int threads = 2) {
+    return run(with(with(kWrong, {"correction={simulations: 5, iterations: 3, later_simulations: 2}"}), more), threads);
+  }
+};
+
+TEST_F(Correction, BringsASessionCloserToItsGoal) {
+  const SessionResult plain = run(kWrong), result = corrected();
+  EXPECT_TRUE(result.released);
+  EXPECT_LT(result.error_mm, 0.6 * plain.error_mm);
+  const auto& first = result.rounds.front().correction;
+  ASSERT_TRUE(first);
+  ASSERT_LE(first->steps.size(), 5u);
+  EXPECT_TRUE(first->steps.front().is_candidate);
+  EXPECT_EQ(first->forecast_mm, first->steps.front().error_mm);
+  // The plan in force is the best of those simulated.
+  double best = std::numeric_limits<double>::infinity();
+  for (const auto& step : first->steps) {
+    EXPECT_EQ(step.best, step.loss < best);
+    best = std::min(best, step.loss);
+  }
+  EXPECT_EQ(result.rounds.front().plan.loss, best);
+  // The twin has the true material, so what it forecasts is what happens.
+  EXPECT_NEAR(result.rounds.back().plan.predicted_error_mm, result.error_mm, 0.02);
+  EXPECT_LT(result.error_mm, first->corrected_mm + 0.02);
+}
+
+TEST_F(Correction, SameBitsWhateverTheNumberOfThreads) {
+  const SessionResult one = corrected({}, 1), two = corrected({}, 2);
+  ASSERT_EQ(one.rounds.size(), two.rounds.size());
+  EXPECT_EQ(one.final_shape, two.final_shape);
+  for (std::size_t j = 0; j < one.rounds.size(); ++j)
+    EXPECT_EQ(one.rounds[j].plan.controls, two.rounds[j].plan.controls) << j;
+}
+
+TEST_F(Correction, StartsFromTheForecastOfTheSegmentInWhichItIsReady) {
+  for (const Index lag : {0, 1, 3}) {
+    const SessionResult result = corrected({"correction.lag=" + std::to_string(lag)});
+    Index count = 0;
+    for (std::size_t j = 1; j < result.rounds.size(); ++j) {
+      const auto& correction = result.rounds[j].correction;
+      if (!correction) continue;
+      ++count;
+      EXPECT_EQ(correction->started + lag, static_cast<Index>(j));
+      // The forecast at the true material is exact: the plan in force is simulated as it was before.
+      EXPECT_NEAR(correction->forecast_mm, result.rounds[j - 1].plan.predicted_error_mm, 0.02) << lag << ", " << j;
+    }
+    EXPECT_GE(count, 1) << lag;
+  }
+}
+
+TEST_F(Correction, ADroppedOneLeavesThePlanInForceAndIsRepeatedWithoutAClock) {
+  // No correction takes less than a nanosecond, so all later ones are dropped.
+  const SessionResult late = corrected({"correction.time_budget_s=1e-9"});
+  ASSERT_FALSE(late.dropped_corrections.empty());
+  const auto& first = late.rounds.front().plan.controls;
+  for (std::size_t j = 1; j < late.rounds.size(); ++j) {
+    const auto& plan = late.rounds[j].plan.controls;
+    EXPECT_EQ(plan, first.bottomRows(plan.rows())) << j;
+  }
+  std::string dropped;
+  for (const Index segment : late.dropped_corrections)
+    dropped += (dropped.empty() ? "" : ", ") + std::to_string(segment);
+  const SessionResult again = corrected({"correction.dropped=[" + dropped + "]"});
+  EXPECT_EQ(again.final_shape, late.final_shape);
+  EXPECT_EQ(again.dropped_corrections, late.dropped_corrections);
+}
+
+TEST_F(Correction, WaitsUntilTheMaterialIsKnown) {
+  const auto wide = corrected({"knowledge=given", "given_centre=[0.5, 0.5, 0.5, 0.5]", "given_width=[1, 1, 0.1, 0.1]",
+                               "correction.max_width=0.5"});
+  for (const auto& round : wide.rounds) EXPECT_TRUE(!round.correction || round.correction->steps.empty());
+  const auto narrow = corrected({"knowledge=given", "given_centre=[0.4, 0.6, 0.5, 0.5]",
+                                 "given_width=[0.5, 0.5, 0.1, 0.1]", "correction.max_width=0.5"});
+  EXPECT_FALSE(narrow.rounds.front().correction->steps.empty());
+}
+
+TEST_F(Correction, TheTwinFollowsAClothThatItDoesNotKnow) {
+  // It believes in another fabric. Pulled to what is seen, it forecasts the next shapes better than from the start alone.
+  const std::vector<std::string> mistaken = {"knowledge=given", "given_centre=[0.4, 0.3, 0.8, 0.5]",
+                                             "given_width=[0.1, 0.1, 0.1, 0.1]"};
+  const auto errors = [&](const SessionResult& result) {
+    double sum = 0.0;
+    for (std::size_t j = 3; j + 1 < result.rounds.size(); ++j)
+      sum += mean_distance_mm(result.rounds[j].plan.shapes.front().mean, result.rounds[j].observed);
+    return sum / static_cast<double>(result.rounds.size() - 4);
+  };
+  const double pulled = errors(corrected(mistaken));
+  const double never_pulled = errors(corrected(with(mistaken, {"correction.later_simulations=0"})));
+  EXPECT_GT(never_pulled, 1.0);
+  EXPECT_LT(pulled, 0.6 * never_pulled);
+}
+
+TEST_F(Session, EstimatesByTheSimulatorFindTheMaterial) {
+  const std::vector<std::string> wrong =
+      with(with(kWrong, kEstimate),
+           {"planning.horizon=8", "predictor={plugin: rollout, params: {simulator: {plugin: bullet}, sigma_m: 0.001}}",
+            "estimation.correction={simulations: 12, later_simulations: 5, segments: 2}"});
+  const SessionResult result = run(wrong);
+  ASSERT_GE(result.estimates.size(), 3u);
+  EXPECT_FALSE(result.estimates.front().corrected);
+  const Estimate& last = result.estimates.back();
+  ASSERT_TRUE(last.corrected);
+  EXPECT_LT((*last.corrected - *result.true_material).cwiseAbs().maxCoeff(), 0.02);
+  EXPECT_LT(last.residual_mm, 0.1);
+  EXPECT_LE(last.simulations, 5);
+  // The interval is as wide as the declared error of the model at least.
+  EXPECT_GT(last.knowledge.width.minCoeff(), 0.02);
+  const SessionResult again = run(wrong, 1);
+  EXPECT_EQ(again.estimates.back().knowledge.centre, last.knowledge.centre);
+}
+
+class TwinOfATowel : public Session {
+ protected:
+  TwinOfATowel() { run({"planning={instances: 1, iterations: 0, replan_iterations: 0}"}); }
+};
+
+TEST_F(TwinOfATowel, FoldsAsTheSimulatorDoesFromAnySegment) {
+  const Task cloth = task();
+  const auto host = make_host(std::make_shared<PluginRegistry>(), {.threads = 1});
+  const Twin twin(cloth, {}, *host);
+  const MaterialProperties q = MaterialProperties::Constant(0.3), other = MaterialProperties::Constant(0.7);
+  const Controls controls = cloth.trajectory->default_controls(14);
+  const FoldResult whole = simulate_fold(*host->create<Simulator>(cloth.simulator), cloth, q, controls);
+  const FoldResult twins = twin.fold(twin.start(q), controls);
+  EXPECT_EQ(twins.shapes.back(), whole.shapes.back());
+  EXPECT_EQ(twins.segments, whole.segments);
+  // A simulator that was busy with another fabric in between.
+  TwinState state = twin.start(q);
+  for (Index j = 0; j < 3; ++j) state = twin.advance(state, controls.row(j).transpose());
+  EXPECT_EQ(state.positions, whole.shapes[3]);
+  EXPECT_NE(twin.fold(twin.start(other), controls).shapes.back(), whole.shapes.back());
+  EXPECT_EQ(twin.fold(state, controls.bottomRows(controls.rows() - 3)).shapes.back(), whole.shapes.back());
+}
+
+TEST_F(TwinOfATowel, IsPulledToWhatIsSeenAndNotToItsNoise) {
+  const Task cloth = task();
+  const Garment& garment = *cloth.garment;
+  const Index n = garment.vertex_count();
+  const ShapeFilter filter(garment);
+  // The real cloth differs by a smooth field of 4 mm.
+  const Positions& simulated = garment.positions;
+  Positions real = simulated;
+  for (Index v = 0; v < n; ++v) real(v, 2) += 0.004 * std::cos(6.0 * simulated(v, 0));
+  const auto rms = [&](const Positions& shape) {
+    return std::sqrt((shape - real).squaredNorm() / static_cast<double>(n));
+  };
+  // Without noise it is met where it is seen, and guessed where not.
+  Observation seen{.positions = real, .observed = std::vector<bool>(n, true)};
+  EXPECT_LT(rms(filter.pulled(simulated, seen, {})), 1e-6);
+  for (Index v = 0; v < n; v += 3) seen.observed[v] = false;
+  EXPECT_LT(rms(filter.pulled(simulated, seen, {})), 0.0008);
+  // With noise it keeps the field and loses the noise.
+  RandomStream random(7, 1);
+  seen.sigma = 0.002;
+  for (Index k = 0; k < seen.positions.size(); ++k) seen.positions.data()[k] += seen.sigma * random.normal();
+  EXPECT_LT(rms(filter.pulled(simulated, seen, {})), 0.0025);
+  EXPECT_GT(rms(seen.positions), 0.0028);
+  // A simulation that is right is left alone; held vertices stay.
+  Observation noise{.positions = simulated, .observed = {}, .sigma = 0.002, .height_sigma = 0.0};
+  for (Index k = 0; k < noise.positions.size(); ++k) noise.positions.data()[k] += noise.sigma * random.normal();
+  EXPECT_LT(std::sqrt((filter.pulled(simulated, noise, {}) - simulated).squaredNorm() / static_cast<double>(n)),
+            0.0012);
+  const Positions held = filter.pulled(simulated, seen, {0, 5});
+  EXPECT_LT((held.row(0) - simulated.row(0)).norm(), 1e-6);
+  EXPECT_LT((held.row(5) - simulated.row(5)).norm(), 1e-6);
+}
+
+}  // namespace
+}  // namespace weft
