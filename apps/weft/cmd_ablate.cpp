@@ -145,7 +145,8 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
   write_text(folder / "times.csv", ablation_times_csv(plan, rows));
   write_text(folder / "times.json", times_json(host->threads(), {{"ablation.json", times}}));
   if (context.json) context.output() << with_times(json, times);
-  std::vector<std::string> metrics = {"error_mm", "first_plan_loss", "evaluations", "cpu_seconds"};
+  std::vector<std::string> metrics = {"error_mm",        "silhouette_iou", "success_10mm",
+                                      "first_plan_loss", "evaluations",    "cpu_seconds"};
   if (plan.measure == "physics") {
     metrics = sweep_metrics(rows);
     for (const auto& name : sweep_times(rows)) metrics.push_back(name);

@@ -11,6 +11,12 @@
 namespace weft::app {
 namespace {
 
+std::string success_text(double error_mm) {
+  for (const int limit : kSuccessLimitsMm)
+    if (succeeds(error_mm, limit)) return "success within " + std::to_string(limit) + " mm";
+  return "no success within " + std::to_string(kSuccessLimitsMm.back()) + " mm";
+}
+
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
   given.saved_config();  // before any work, because it also checks the slots that the session does not use
@@ -70,9 +76,9 @@ int run(Context& context, const std::string& file) {
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) context.output() << with_times(summary, times);
   char line[200];
-  std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm)",
+  std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm), IoU %.3f, %s",
                 result.shapes_are_true ? "" : "observed ", result.error_mm, result.rounds.size(),
-                result.default_error_mm);
+                result.default_error_mm, result.errors.iou, success_text(result.error_mm).c_str());
   context.say(line);
   if (!result.rounds.empty()) {
     const PlanTimes plans = plan_times(result, given.params.correction.lag);

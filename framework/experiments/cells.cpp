@@ -78,6 +78,10 @@ SweepOutcome session_outcome(const SessionResult& result) {
   outcome.metrics = {
       {"error_mm", result.error_mm},
       {"default_error_mm", result.default_error_mm},
+      {"max_error_mm", result.errors.max_mm},
+      {"grasped_error_mm", result.errors.grasped_mm},
+      {"named_error_mm", result.errors.named_mm},
+      {"silhouette_iou", result.errors.iou},
       {"released", result.released ? 1.0 : 0.0},
       {"segments", static_cast<double>(result.rounds.size())},
       {"first_plan_loss", planned ? first.loss : kNaN},
@@ -87,6 +91,8 @@ SweepOutcome session_outcome(const SessionResult& result) {
       {"iterations", iterations},
       {"simulations", simulations},
   };
+  for (const int limit : kSuccessLimitsMm)
+    outcome.metrics.emplace_back(success_key(limit), succeeds(result.error_mm, limit) ? 1.0 : 0.0);
   outcome.times = {
       {"first_plan_seconds", planned ? first.seconds : kNaN},
       {"plan_seconds", seconds},

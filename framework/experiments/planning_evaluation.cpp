@@ -1,7 +1,9 @@
 #include "experiments/planning_evaluation.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "experiments/cells.hpp"
@@ -32,6 +34,8 @@ ConfigNode matrix_node(const Controls& controls) {
 
 std::string width_level(double width) { return "w" + text_of(width); }
 
+constexpr const char* kShapeMetrics[] = {"max_error_mm", "grasped_error_mm", "named_error_mm", "silhouette_iou"};
+
 ordered_json planning_column(const EvaluationColumn& column) {
   ordered_json json{{"goals", column.cases.source}};
   json["complete"] = column.rows.size() == column.plan.cells();
@@ -40,6 +44,7 @@ ordered_json planning_column(const EvaluationColumn& column) {
   for (std::size_t a = 0; a < column.plan.arms.size(); ++a) {
     const double width = column.plan.arms[a].config.at("drawn_width").as_double();
     std::vector<double> errors;
+    std::map<std::string, std::vector<double>> shapes;  // by metric
     for (const auto& row : column.rows) {
       if (row.arm != a) continue;
       const auto goal =
@@ -53,6 +58,11 @@ ordered_json planning_column(const EvaluationColumn& column) {
       } else {
         errors.push_back(row.metric("error_mm"));
         for (const char* key : {"default_error_mm", "segments", "released"}) one[key] = json_number(row.metric(key));
+        // Rows of earlier versions have none of these.
+        for (const char* key : kShapeMetrics) {
+          one[key] = json_number(row.metric(key));
+          if (std::isfinite(row.metric(key))) shapes[key].push_back(row.metric(key));
+        }
       }
       json["cases"].push_back(one);
     }
@@ -68,6 +78,12 @@ ordered_json planning_column(const EvaluationColumn& column) {
                                 {"q1_mm", json_number(q1)},
                                 {"q3_mm", json_number(q3)},
                                 {"outliers", outliers}});
+    auto& last = json["by_width"].back();
+    for (const char* key : kShapeMetrics) last[key] = json_number(spread_of(shapes[key]).mean);
+    for (const int limit : kSuccessLimitsMm) {
+      const auto count = std::count_if(errors.begin(), errors.end(), [&](double e) { return succeeds(e, limit); });
+      last[success_key(limit)] = json_number(static_cast<double>(count) / static_cast<double>(errors.size()));
+    }
   }
   add_mixed(json, column.rows, std::nullopt);
   return json;
@@ -197,7 +213,8 @@ std::string planning_times_json(const std::vector<EvaluationColumn>& columns) {
 std::string planning_evaluation_csv(const std::vector<EvaluationColumn>& columns) {
   std::vector<std::pair<std::string, ordered_json>> all;
   for (const auto& column : columns) all.emplace_back(column.cases.source, planning_column(column)["cases"]);
-  return csv_of(all, {"width", "goal", "seed", "error_mm", "default_error_mm", "segments", "released"});
+  return csv_of(all, {"width", "goal", "seed", "error_mm", "default_error_mm", "segments", "released", kShapeMetrics[0],
+                      kShapeMetrics[1], kShapeMetrics[2], kShapeMetrics[3]});
 }
 
 std::string planning_times_csv(const std::vector<EvaluationColumn>& columns) {
@@ -213,13 +230,17 @@ std::string planning_times_csv(const std::vector<EvaluationColumn>& columns) {
 
 std::string planning_evaluation_table(const EvaluationColumn& column) {
   const ordered_json json = planning_column(column);
-  std::string text = "goals: " + column.cases.source + "\n    w    n    median      mean        sd  outliers   mm\n";
+  std::string text = "goals: " + column.cases.source +
+                     "\n    w    n    median      mean        sd  outliers   mm |     IoU   within 10,  20,  30 mm\n";
   for (const auto& row : json["by_width"]) {
     if (row["n"] == 0) continue;
-    char line[120];
-    std::snprintf(line, sizeof line, "%5.2f  %3d  %8.2f  %8.2f  %8.2f  %8d\n", row["width"].get<double>(),
-                  row["n"].get<int>(), row["median_mm"].get<double>(), row["mean_mm"].get<double>(),
-                  row["sd_mm"].is_null() ? 0.0 : row["sd_mm"].get<double>(), row["outliers"].get<int>());
+    char line[160];
+    const auto percent = [&](int limit) { return 100.0 * row[success_key(limit)].get<double>(); };
+    std::snprintf(line, sizeof line,
+                  "%5.2f  %3d  %8.2f  %8.2f  %8.2f  %8d      | %7.3f      %3.0f %% %3.0f %% %3.0f %%\n",
+                  row["width"].get<double>(), row["n"].get<int>(), row["median_mm"].get<double>(),
+                  row["mean_mm"].get<double>(), row["sd_mm"].is_null() ? 0.0 : row["sd_mm"].get<double>(),
+                  row["outliers"].get<int>(), number_of(row["silhouette_iou"]), percent(10), percent(20), percent(30));
     text += line;
   }
   return text;

@@ -182,6 +182,7 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   result.shapes_are_true = environment.true_shape().has_value();
   result.start = environment.true_shape().value_or(*current);
   result.error_mm = error_mm(first);
+  std::vector<bool> last_seen = first.observed;
   EstimateChain chain(estimator, host, seed);
   chain.start(task, first, state, trajectory.controls().size());
   std::optional<PlanChain> plans;
@@ -228,6 +229,7 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
     round.observed = *current;
     result.error_mm = error_mm(seen);
     if (plans) plans->add(control, seen);
+    last_seen = seen.observed;
     if (estimator) chain.add(control, std::move(seen));
     warm_start = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
     if (warm_start.rows() == 0) warm_start = trajectory.default_controls(1);
@@ -237,6 +239,8 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
   result.estimates = chain.all();
   if (plans) result.dropped_corrections = plans->dropped();
   result.final_shape = environment.true_shape().value_or(*current);
+  result.errors =
+      shape_errors(result.final_shape, result.goal, task, result.shapes_are_true ? std::vector<bool>() : last_seen);
   result.max_grasp_strain = environment.max_grasp_strain();
   if (auto frames = environment.frames()) result.frames = std::move(*frames);
   if (result.frames.empty()) result.frames = held_frames(result);

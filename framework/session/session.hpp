@@ -10,6 +10,7 @@
 #include "session/observation.hpp"
 #include "session/plan_chain.hpp"
 #include "session/planner.hpp"
+#include "session/shape_errors.hpp"
 #include "session/world.hpp"
 #include "simulation/task_config.hpp"
 
@@ -126,6 +127,7 @@ struct SessionResult {
   /// unless knowledge is `estimate`.
   std::vector<Estimate> estimates;
   double error_mm = 0.0, default_error_mm = 0.0;
+  ShapeErrors errors;  ///< of final_shape. Without true shapes the vertices count that the last observation saw.
   bool released = false;
   SettleResult settle;
   double simulate_seconds = 0.0;  ///< s in the environment's execute() and release()

@@ -175,6 +175,12 @@ std::string session_summary_json(const SessionResult& result) {
   ordered_json summary;
   summary["error_mm"] = result.error_mm;
   summary["default_error_mm"] = result.default_error_mm;
+  const auto number = [](double value) { return std::isfinite(value) ? ordered_json(value) : ordered_json(); };
+  summary["max_error_mm"] = result.errors.max_mm;
+  summary["grasped_error_mm"] = number(result.errors.grasped_mm);
+  summary["named_error_mm"] = number(result.errors.named_mm);
+  summary["silhouette_iou"] = number(result.errors.iou);
+  for (const int limit : kSuccessLimitsMm) summary[success_key(limit)] = succeeds(result.error_mm, limit);
   summary["segments"] = result.rounds.size();
   summary["released"] = result.released;
   summary["settled"] = result.settle.settled;

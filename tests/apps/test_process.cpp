@@ -1,3 +1,4 @@
+#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "unit/test_program.hpp"
@@ -66,6 +67,14 @@ TEST_F(EnvironmentCommand, ReplaysARecordedSession) {
   const auto first = summary("recorded"), second = summary("replayed");
   EXPECT_EQ(second["shapes"], "observed");
   EXPECT_TRUE(second["true_material"].is_null());
+  char iou[40];
+  std::snprintf(iou, sizeof iou, "mm), IoU %.3f, ", second["silhouette_iou"].get<double>());
+  EXPECT_THAT(replayed.output, HasSubstr(iou));
+  std::string success = "no success within 30 mm";
+  for (const int limit : {30, 20, 10})
+    if (second["success_" + std::to_string(limit) + "mm"].get<bool>())
+      success = ", success within " + std::to_string(limit) + " mm";
+  EXPECT_THAT(replayed.output, HasSubstr(success));
   EXPECT_EQ(second["segments"], first["segments"]);
   EXPECT_EQ(second["released"], true);
   // The goal is the same, and so is the cloth, but for the digits of the CSV file.

@@ -379,6 +379,11 @@ TEST(Program, AblateComparesArmsAndResumes) {
   EXPECT_THAT(first.output, AllOf(HasSubstr("2 arms, 1 seed,"), HasSubstr("2/2  "), HasSubstr("error_mm")));
   const std::string csv = text_of(folder / "out" / "ablation.csv");
   const auto json = nlohmann::json::parse(text_of(folder / "out" / "ablation.json"));
+  EXPECT_THAT(first.output, AllOf(HasSubstr("silhouette_iou"), HasSubstr("success_10mm")));
+  EXPECT_THAT(csv, HasSubstr(",max_error_mm,grasped_error_mm,named_error_mm,silhouette_iou,"));
+  EXPECT_GT(json["arms"][0]["metrics"]["silhouette_iou"]["mean"].get<double>(), 0.0);
+  EXPECT_EQ(json["arms"][0]["metrics"]["success_30mm"]["mean"].get<double>(),
+            json["arms"][0]["metrics"]["error_mm"]["mean"].get<double>() <= 30.0 ? 1.0 : 0.0);
   EXPECT_EQ(json["arms"][1]["baseline"], "no");
   EXPECT_EQ(json["arms"][1]["unpaired"], 0);
   const auto loss = [&](int arm) { return json["arms"][arm]["metrics"]["first_plan_loss"]["mean"].get<double>(); };

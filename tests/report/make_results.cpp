@@ -184,6 +184,8 @@ void make_session(const fs::path& folder, Index segments, const Task& task, cons
   result.settle.frames = kSettleFrames;
   result.final_shape = result.rounds.back().observed;
   result.error_mm = mean_distance_mm(result.final_shape, result.goal);
+  result.errors = shape_errors(result.final_shape, result.goal, task);
+  result.world = WorldRecord{0.2, "cloth", {{"density", 1.07}}};
   result.simulate_seconds = 7.9;
   result.max_grasp_strain = 0.021;
   const std::string provenance =
@@ -242,7 +244,11 @@ void make_evaluation(const fs::path& folder, const Task& task) {
                                     {"sd_mm", spread_of(errors).sd},
                                     {"q1_mm", q1},
                                     {"q3_mm", q3},
-                                    {"outliers", outliers}});
+                                    {"outliers", outliers},
+                                    {"silhouette_iou", 0.95 - 0.02 * width},
+                                    {"success_10mm", 0.9},
+                                    {"success_20mm", 1.0},
+                                    {"success_30mm", nullptr}});
   }
   write_json(folder / "planning.json", planning);
   json estimation = {{"properties", json::object()}, {"cases", json::array()}};
@@ -389,6 +395,7 @@ void make_ablation(const fs::path& folder) {
       const double error = 12.0 / std::sqrt(count) + 4 + 3 * random.uniform();
       const double seconds = 0.12 * count + 0.1 * random.uniform();
       json metrics = {{"error_mm", statistics(error, 0.8)},
+                      {"success_10mm", statistics(0.7, 0.1)},
                       {"evaluations", statistics(1200 * count, 30)},
                       {"plan_seconds", statistics(seconds, 0.05)},
                       {"simulate_seconds", statistics(3, 0.1)}};

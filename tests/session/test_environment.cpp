@@ -5,6 +5,8 @@
 #include <cerrno>
 #include <cmath>
 #include <cstdio>
+#include <fstream>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <optional>
 
@@ -38,14 +40,15 @@ class ProcessSession : public Session {
     return text;
   }
   /// The same session with the example in place of the simulator.
-  SessionResult replay(const SessionResult& session, const std::vector<std::string>& overrides) {
+  /// @param script in place of the example; empty: the example.
+  SessionResult replay(const SessionResult& session, const std::vector<std::string>& overrides,
+                       const std::string& script = WEFT_SOURCE_DIR "/docs/examples/replay_environment.py") {
     folder_.write("vertices.csv", looks_as_csv(session));
     const Garment& garment = *task().garment;
     write_obj(folder_ / "goal.obj", {session.goal, garment.faces, garment.rest, "goal"}, true);
-    return run(
-        with(overrides,
-             {"environment.command=[python3, " WEFT_SOURCE_DIR "/docs/examples/replay_environment.py, vertices.csv]",
-              "environment.folder=" + folder_.path().string(), "goal.obj=" + (folder_ / "goal.obj").string()}));
+    return run(with(overrides,
+                    {"environment.command=[python3, " + script + ", vertices.csv]",
+                     "environment.folder=" + folder_.path().string(), "goal.obj=" + (folder_ / "goal.obj").string()}));
   }
   static void expect_same_plans(const SessionResult& one, const SessionResult& two) {
     ASSERT_EQ(one.rounds.size(), two.rounds.size());
@@ -83,6 +86,30 @@ TEST_F(ProcessSession, AReplayedSessionHasTheSameEstimates) {
     EXPECT_EQ(simulated.estimates[i].losses, replayed.estimates[i].losses) << i;
     EXPECT_EQ(simulated.estimates[i].knowledge.centre, replayed.estimates[i].knowledge.centre) << i;
   }
+}
+
+TEST_F(ProcessSession, ErrorsAreThoseOfTheVerticesThatWereSeen) {
+  const std::vector<std::string> quick = {"planning.iterations=0", "planning.replan_iterations=0",
+                                          "planning.instances=1", "knowledge=none"};
+  const SessionResult simulated = run(quick);
+  const Index hidden = task().manipulation.grasp_vertices[0];
+  std::ifstream example(WEFT_SOURCE_DIR "/docs/examples/replay_environment.py");
+  std::string script{std::istreambuf_iterator<char>(example), {}};
+  const std::string whole = "frames[frame]}";
+  ASSERT_NE(script.find(whole), std::string::npos);
+  script.replace(script.find(whole), whole.size(),
+                 "[None if v == " + std::to_string(hidden) + " else p for v, p in enumerate(frames[frame])]}");
+  const SessionResult result = replay(simulated, quick, folder_.write("hiding.py", script).string());
+  std::vector<bool> seen(result.goal.rows(), true);
+  seen[hidden] = false;
+  const ShapeErrors expected = shape_errors(result.final_shape, result.goal, task(), seen);
+  EXPECT_EQ(result.errors.max_mm, expected.max_mm);
+  EXPECT_EQ(result.errors.grasped_mm, expected.grasped_mm);
+  EXPECT_EQ(result.errors.named_mm, expected.named_mm);
+  EXPECT_EQ(result.errors.iou, expected.iou);
+  const Index other = task().manipulation.grasp_vertices[1];
+  EXPECT_NEAR(result.errors.grasped_mm, 1000.0 * (result.final_shape.row(other) - result.goal.row(other)).norm(), 1e-9);
+  EXPECT_NE(simulated.errors.grasped_mm, result.errors.grasped_mm);
 }
 
 TEST_F(ProcessSession, TheSessionFileSaysWhatIsNotKnown) {

@@ -245,6 +245,14 @@ TEST_F(Session, SessionFileHoldsWhatTheSummarySays) {
   const auto summary = nlohmann::json::parse(file.read_text("/summary"));
   EXPECT_EQ(summary["error_mm"].get<double>(),
             mean_distance_mm(file.read_positions("/final_shape"), file.read_positions("/goal")));
+  const ShapeErrors errors = shape_errors(file.read_positions("/final_shape"), file.read_positions("/goal"), task());
+  EXPECT_EQ(summary["max_error_mm"].get<double>(), errors.max_mm);
+  EXPECT_EQ(summary["grasped_error_mm"].get<double>(), errors.grasped_mm);
+  EXPECT_EQ(summary["named_error_mm"].get<double>(), errors.named_mm);
+  EXPECT_EQ(summary["silhouette_iou"].get<double>(), errors.iou);
+  EXPECT_GE(errors.max_mm, result.error_mm);
+  for (const int limit : {10, 20, 30})
+    EXPECT_EQ(summary["success_" + std::to_string(limit) + "mm"].get<bool>(), result.error_mm <= limit);
   EXPECT_FALSE(summary.contains("plan_seconds")) << "what a clock gave lies apart";
   EXPECT_EQ(nlohmann::json::parse(session_times_json(result))["plan_seconds"].size(), result.rounds.size());
   EXPECT_EQ(summary["knowledge"].size(), result.rounds.size());

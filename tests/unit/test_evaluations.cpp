@@ -116,6 +116,11 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
     for (std::size_t i = 0; i < 5; ++i) {
       SweepRow row{a, column.plan.seeds[i], "", {}};
       row.outcome.metrics = {{"error_mm", errors[i]}};
+      if (a == 1) {  // the rows of the first arm are of an earlier version
+        row.outcome.metrics.emplace_back("max_error_mm", 3.0 * errors[i]);
+        row.outcome.metrics.emplace_back("named_error_mm", i == 0 ? std::nan("") : 4.0);
+        row.outcome.metrics.emplace_back("silhouette_iou", 0.9 + 0.01 * static_cast<double>(i));
+      }
       row.outcome.times = {{"first_plan_seconds", 0.5}, {"plan_seconds", 2.0}};
       if (a == 1 && i == 4) row.failure = "diverged";
       column.rows.push_back(row);
@@ -133,6 +138,17 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
   EXPECT_EQ(narrow["outliers"], 1);
   EXPECT_EQ(result["by_width"][1]["n"], 4);
   EXPECT_EQ(result["by_width"][1]["median_mm"], 6.5);
+  EXPECT_EQ(narrow["success_10mm"], 0.8);
+  EXPECT_EQ(narrow["success_30mm"], 0.8);
+  EXPECT_TRUE(narrow["silhouette_iou"].is_null());
+  EXPECT_TRUE(result["cases"][0]["silhouette_iou"].is_null());
+  const json& wide = result["by_width"][1];
+  EXPECT_EQ(wide["success_10mm"], 1.0);
+  EXPECT_DOUBLE_EQ(wide["silhouette_iou"], 0.915);
+  EXPECT_DOUBLE_EQ(wide["max_error_mm"], 3.0 * 6.5);
+  EXPECT_DOUBLE_EQ(wide["named_error_mm"], 4.0) << "the mean leaves out cases that saw none of them";
+  EXPECT_EQ(result["cases"][6]["silhouette_iou"], 0.91);
+  EXPECT_TRUE(result["cases"][5]["named_error_mm"].is_null());
   EXPECT_TRUE(result["cases"][9]["error_mm"].is_null());
   EXPECT_EQ(result["cases"][9]["failed"], "diverged");
   EXPECT_EQ(result["cases"][7]["goal"], 2);
@@ -145,7 +161,9 @@ TEST(PlanningEvaluation, FiguresPerWidthAndFailedCases) {
   EXPECT_THAT(planning_times_csv({column}),
               testing::AllOf(testing::StartsWith("goals,width,goal,seed,first_plan_seconds"),
                              testing::HasSubstr(",0.5,2.0\n")));
+  EXPECT_THAT(planning_evaluation_csv({column}), testing::HasSubstr("fresh,1.0,1,"));
   EXPECT_THAT(planning_evaluation_table(column), testing::HasSubstr("0.10    5      7.00     15.20"));
+  EXPECT_THAT(planning_evaluation_table(column), testing::HasSubstr("0.915      100 % 100 % 100 %"));
 }
 
 /// A row as the runner leaves it: two segments, all properties alike.

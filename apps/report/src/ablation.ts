@@ -8,11 +8,11 @@ import { sortableTable, type Column } from './table';
 // Levels beyond the sixth take the colours again, with another shape.
 const kColours = 6;
 const kShapes = [{ symbol: 'circle', style: 'border-radius:50%' }, { symbol: 'square', style: '' }, { symbol: 'diamond', style: 'transform:rotate(45deg) scale(0.8)' }] as const;
-const kShownFirst = ['error_mm', 'first_plan_loss', 'evaluations', 'plan_seconds'];
+const kShownFirst = ['error_mm', 'silhouette_iou', 'success_10mm', 'first_plan_loss', 'evaluations', 'plan_seconds'];
 
 const kUnits: [RegExp, string][] = [[/_mm$/, 'mm'], [/_seconds$/, 's']];
 const unitOf = (metric: string) => kUnits.find(([ending]) => ending.test(metric))?.[1] ?? '';
-const nameOf = (metric: string) => label(kUnits.reduce((text, [ending]) => text.replace(ending, ''), metric));
+const nameOf = (metric: string) => label(kUnits.reduce((text, [ending]) => text.replace(ending, ''), metric).replace(/_(\d+)mm$/, ' within $1 mm'));
 const heading = (metric: string) => `${nameOf(metric)}${unitOf(metric) ? `, ${unitOf(metric)}` : ''}`;
 
 export function ablationPage(page: PageData): HTMLElement {

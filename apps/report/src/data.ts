@@ -41,6 +41,11 @@ export interface Correction {
 export interface Summary {
   error_mm: number;
   default_error_mm: number;
+  /** Missing in sessions of earlier versions, as all keys of this line and the next. null: no such vertex was seen. */
+  max_error_mm?: number; grasped_error_mm?: number | null; named_error_mm?: number | null;
+  silhouette_iou?: number | null; success_10mm?: boolean; success_20mm?: boolean; success_30mm?: boolean;
+  /** null: the task's. */
+  world?: { spread: number; simulator: string } | null;
   segments: number;
   settled?: boolean;
   settle_frames: number;
@@ -79,6 +84,8 @@ export interface PlanningCase { width: number; goal: number; error_mm: number | 
 export interface PlanningWidth {
   width: number; n: number; mean_mm: number; median_mm: number; sd_mm: number; q1_mm: number; q3_mm: number;
   outliers: number;
+  /** Missing in files of earlier versions, as the shares of successes. */
+  silhouette_iou?: number | null; success_10mm?: number | null; success_20mm?: number | null; success_30mm?: number | null;
 }
 /** Rows that belong to another config, file, plugin or version than the others of their table. */
 export interface Mixed { identity: string; seeds: number[]; changes: string[] }

@@ -69,7 +69,8 @@ export function planningPart(page: PageData, planning: PlanningData): HTMLElemen
     caseBox.append(h('p', { class: 'note' }, 'The shapes of the cases were not recorded, so there is nothing to see in 3D.'));
   }
   const others = Object.entries(planning.columns ?? {});
-  const head = ['w', 'n', 'Median, mm', 'Mean, mm', 'SD, mm', 'Quartiles, mm', 'Outliers'];
+  const head = ['w', 'n', 'Median, mm', 'Mean, mm', 'SD, mm', 'Quartiles, mm', 'Outliers', 'IoU', 'Within 10, 20, 30 mm'];
+  const share = (value: number | null | undefined) => (value == null ? '–' : `${fixed(100 * value, 0)} %`);
   const narrow = widths[0];
   return h('div', { id: 'planning' },
     narrow ? h('dl', { class: 'tiles' },
@@ -81,7 +82,8 @@ export function planningPart(page: PageData, planning: PlanningData): HTMLElemen
         key({ text: `the paper’s median at w = 0.1: ${kPaperMedianMm} mm`, colour: 'var(--c2)', style: 'dashed' }),
         h('label', { class: 'check' }, scaleBox, 'fit the scale to all outliers'), figure.element,
         h('details', { id: 'planning-numbers' }, h('summary', {}, 'Numbers'), h('div', { class: 'scroll', tabindex: 0 }, h('table', {}, h('thead', {}, h('tr', {}, ...head.map((text) => h('th', { scope: 'col' }, text)))),
-          h('tbody', {}, ...boxes.map((box) => h('tr', {}, ...[String(box.width), String(box.n), fixed(box.median_mm, 2), fixed(box.mean_mm, 2), fixed(box.sd_mm, 2), `${fixed(box.q1_mm, 2)} – ${fixed(box.q3_mm, 2)}`, String(box.count)].map((text) => h('td', {}, text)))))),
+          h('tbody', {}, ...boxes.map((box) => h('tr', {}, ...[String(box.width), String(box.n), fixed(box.median_mm, 2), fixed(box.mean_mm, 2), fixed(box.sd_mm, 2), `${fixed(box.q1_mm, 2)} – ${fixed(box.q3_mm, 2)}`, String(box.count), fixed(box.silhouette_iou, 3),
+            [box.success_10mm, box.success_20mm, box.success_30mm].map(share).join(', ')].map((text) => h('td', {}, text)))))),
           others.length ? h('table', { id: 'planning-columns' }, h('caption', {}, 'Median error in mm (and cases) by where the goals come from.'),
             h('thead', {}, h('tr', {}, h('th', { scope: 'col' }, 'w'), ...[planning.goals ?? 'here', ...others.map(([source]) => source)].map((source) => h('th', { scope: 'col' }, source)))),
             h('tbody', {}, ...planning.by_width.map((box, i) => h('tr', {}, h('td', {}, String(box.width)), ...[box, ...others.map(([, column]) => column.by_width[i])].map((one) =>

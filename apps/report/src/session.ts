@@ -1,7 +1,7 @@
 // The page of one session.
 import { chart, key, materialChart, Plot, wholeTicks, type Chart } from './charts';
 import { colourLegend, niceCeiling } from './colours';
-import { decode, decodeFaces, distancesMm, quantile, Shapes, type PageData, type SearchEnd } from './data';
+import { decode, decodeFaces, distancesMm, quantile, Shapes, type PageData, type SearchEnd, type Summary } from './data';
 import { duration, fixed, h, hashOptions, label, section } from './dom';
 import { provenanceDetails, tile, title } from './frame';
 import { Player, seconds } from './player';
@@ -359,12 +359,13 @@ export function sessionPage(page: PageData): HTMLElement {
   const knowledge = session.estimates ? 'material estimated while folding' : width.every((w) => w === 0) ? 'material known to the planner' : width.every((w) => w === 1) ? 'material unknown to the planner' : 'material partly known to the planner';
   const result = h('div', {},
     title(page, `Fold of a ${garment.name}`, [
-      `${garment.vertices} vertices`, knowledge, used('predictor') && `predictor ${used('predictor')}`, used('optimiser') && `optimiser ${used('optimiser')}`,
+      `${garment.vertices} vertices`, knowledge, worldOf(summary), used('predictor') && `predictor ${used('predictor')}`, used('optimiser') && `optimiser ${used('optimiser')}`,
     ]),
     ...summary.warnings.map((text) => h('p', { class: 'warning', role: 'note' }, `Warning: ${text}`)),
     h('dl', { class: 'tiles' },
       tile('Error after settling', 'error_mm', fixed(summary.error_mm), 'mm'),
       tile('With the default control', 'default_error_mm', fixed(summary.default_error_mm), 'mm'),
+      ...shapeTiles(summary),
       tile('Segments', 'segments', String(summary.segments), ''),
       tile('First plan', 'first_plan', duration(summary.plan_seconds[0] ?? 0), ''),
       summary.correction_seconds ? tile('Corrections, median', 'corrections', duration(quantile(summary.correction_seconds, 0.5)), '') :
@@ -428,6 +429,24 @@ export function sessionPage(page: PageData): HTMLElement {
   player.seek(options.has('frame') ? Number(options.get('frame')) : last);
   Object.assign(window, { weft: { viewer, player } });
   return result;
+}
+
+/** The errors besides the mean vertex error. */
+function shapeTiles(summary: Summary): HTMLElement[] {
+  if (summary.max_error_mm === undefined) return [];
+  const reached = [10, 20, 30].find((limit) => summary[`success_${limit}mm` as 'success_10mm']);
+  return [
+    tile('Largest of a vertex', 'max_error_mm', fixed(summary.max_error_mm), 'mm'),
+    tile('Held vertices', 'grasped_error_mm', fixed(summary.grasped_error_mm), 'mm'),
+    tile('Named vertices', 'named_error_mm', fixed(summary.named_error_mm), 'mm'),
+    tile('IoU seen from above', 'silhouette_iou', fixed(summary.silhouette_iou, 3), ''),
+    tile('Success', 'success', reached ? `within ${reached}` : 'not within 30', 'mm'),
+  ];
+}
+
+/** Where the world differed from the task. */
+function worldOf({ world }: Summary): string | false {
+  return !!world && `world: ${[world.spread > 0 && `constants of the fabric ± ${fixed(100 * world.spread, 0)} %`, `simulator ${world.simulator}`].filter(Boolean).join(', ')}`;
 }
 
 const colouringOf = (name: string | null): Colouring | null => (name && name in kColourings ? (name as Colouring) : null);

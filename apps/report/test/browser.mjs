@@ -98,6 +98,12 @@ async function sessionPage() {
   // Numbers are those of summary.json.
   assert.equal(await shown(page, 'error_mm'), summary.error_mm.toFixed(1));
   assert.equal(await shown(page, 'default_error_mm'), summary.default_error_mm.toFixed(1));
+  for (const key of ['max_error_mm', 'grasped_error_mm', 'named_error_mm']) assert.equal(await shown(page, key), summary[key].toFixed(1));
+  assert.ok(summary.silhouette_iou > 0 && summary.silhouette_iou <= 1);
+  assert.equal(await shown(page, 'silhouette_iou'), summary.silhouette_iou.toFixed(3));
+  const reached = [10, 20, 30].find((limit) => summary[`success_${limit}mm`]);
+  assert.equal(await shown(page, 'success'), reached ? `within ${reached}` : 'not within 30');
+  assert.match(await text(page, 'header'), /world: constants of the fabric ± 20 %, simulator cloth/);
   assert.equal(await shown(page, 'segments'), String(summary.segments));
   await page.locator('#numbers summary').click();
   const rows = await page.locator('#numbers tbody tr').evaluateAll((all) => all.map((row) => [...row.cells].map((cell) => cell.textContent)));
@@ -244,7 +250,8 @@ async function evaluationPage() {
   await page.locator('#planning-numbers summary').click();
   const rows = await page.locator('#planning-numbers tbody tr').evaluateAll((all) => all.map((row) => [...row.cells].map((cell) => cell.textContent)));
   planning.by_width.forEach((box, i) => assert.deepEqual(rows[i], [String(box.width), String(box.n), box.median_mm.toFixed(2), box.mean_mm.toFixed(2),
-    box.sd_mm.toFixed(2), `${box.q1_mm.toFixed(2)} – ${box.q3_mm.toFixed(2)}`, String(box.outliers)]));
+    box.sd_mm.toFixed(2), `${box.q1_mm.toFixed(2)} – ${box.q3_mm.toFixed(2)}`, String(box.outliers),
+    box.silhouette_iou.toFixed(3), `${(100 * box.success_10mm).toFixed(0)} %, 100 %, –`]));
 
   // Cases in 3D: by list, and by a click on a point of the figure.
   await nextFrames(page);
@@ -408,6 +415,7 @@ async function ablationPage() {
   const { mean, mean_95: interval } = ablation.arms[0].metrics.error_mm;
   assert.equal(await shown(page, `${ablation.arms[0].name} error_mm`), `${mean.toFixed(2)} [${interval[0].toFixed(2)}, ${interval[1].toFixed(2)}]`);
   assert.equal(await page.locator('[data-sort="simulate_seconds"]').count(), 0);
+  assert.match(await text(page, '#arms thead'), /Success within 10 mm/);
   await page.locator('#all-metrics').check();
   await page.locator('[data-sort="simulate_seconds"]').click();
   await page.locator('#metric').selectOption('plan_seconds');
