@@ -149,103 +149,144 @@ PlanTimes plan_times(const SessionResult& result, Index lag) {
   return times;
 }
 
-SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
-                          const SessionProgress& progress) {
-  const Task& task = setup.task;
-  const auto& trajectory = *task.trajectory;
-  const SessionEstimator* estimator = setup.estimator.get();
-  const auto seed = static_cast<std::uint64_t>(params.seed);
-  // With one thread all work except the solvers' own arithmetic runs here, so other sessions of this process do not count.
-  const auto cpu_seconds = [&] { return host.threads() == 1 ? thread_cpu_seconds() : process_cpu_seconds(); };
-  const double cpu_before = cpu_seconds();
-  SessionResult result;
-  result.true_material = environment.true_material();
-  result.goal = setup.goal.shape;
-  result.goal_controls = setup.goal.controls;
-  result.default_shape = setup.goal.default_shape;
-  result.default_error_mm = mean_distance_mm(result.default_shape, result.goal);
-  const auto error_mm = [&](const Observation& seen) {
-    const auto truth = environment.true_shape();
-    return truth ? mean_distance_mm(*truth, result.goal) : seen_distance_mm(seen, result.goal);
-  };
-  const auto timed = [&](const auto& act) {
-    const auto started = std::chrono::steady_clock::now();
-    act();
-    result.simulate_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
-  };
+namespace {
 
-  Vector state = trajectory.initial_state(task.manipulation);
-  const Observation first = environment.observe();
-  auto current = filled_start(task, first);
-  std::shared_ptr<const Positions> previous;
-  const auto goal = std::make_shared<const Positions>(result.goal);
-  result.shapes_are_true = environment.true_shape().has_value();
-  result.start = environment.true_shape().value_or(*current);
-  result.error_mm = error_mm(first);
-  std::vector<bool> last_seen = first.observed;
-  EstimateChain chain(estimator, host, seed);
-  chain.start(task, first, state, trajectory.controls().size());
-  std::optional<PlanChain> plans;
-  if (setup.twin) plans.emplace(setup.planner, setup.twin, params.correction, host);
-  Controls warm_start;
-  // Plan, execute one segment, observe, re-plan, ..., release.
-  while (!result.released && static_cast<std::int64_t>(result.rounds.size()) < params.max_segments &&
-         !host.cancelled()) {
-    const Index number = result.rounds.size();
-    SessionRound round;
-    round.state = state;
-    PlanRequest request{.shape = current,
-                        .previous = previous,
-                        .state = state,
-                        .goal = goal,
-                        .knowledge = setup.knowledge,
-                        .warm_start = warm_start,
-                        .round = number,
-                        .seed = seed};
-    if (!plans) {
-      if (estimator) request.knowledge = chain.knowledge(number - params.knowledge_lag);
-      round.plan = setup.planner->plan(request);
-      round.knowledge = request.knowledge;
-    } else {
-      // The correction that starts now makes the plan of segment number + lag.
-      const Index seen = std::min<Index>(number, number + params.correction.lag - params.knowledge_lag);
-      const auto known = estimator ? chain.knowledge_later(seen) : [&setup] { return setup.knowledge; };
-      std::tie(round.plan, round.correction) = number == 0 ? plans->first(request) : plans->next(known);
-      round.knowledge = plans->knowledge();
-    }
+/// One session while it runs.
+class SessionRun {
+ public:
+  SessionRun(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host)
+      : params_(params),
+        setup_(setup),
+        environment_(environment),
+        host_(host),
+        trajectory_(*setup.task.trajectory),
+        estimator_(setup.estimator.get()),
+        chain_(estimator_, host, static_cast<std::uint64_t>(params.seed)) {
+    result_.true_material = environment.true_material();
+    result_.goal = setup.goal.shape;
+    result_.goal_controls = setup.goal.controls;
+    result_.default_shape = setup.goal.default_shape;
+    result_.default_error_mm = mean_distance_mm(result_.default_shape, result_.goal);
+    goal_ = std::make_shared<const Positions>(result_.goal);
+    state_ = trajectory_.initial_state(setup.task.manipulation);
+    const Observation first = environment.observe();
+    current_ = filled_start(setup.task, first);
+    result_.shapes_are_true = environment.true_shape().has_value();
+    result_.start = environment.true_shape().value_or(*current_);
+    result_.error_mm = error_mm(first);
+    last_seen_ = first.observed;
+    chain_.start(setup.task, first, state_, std::ssize(trajectory_.controls()));
+    if (setup.twin) plans_.emplace(setup.planner, setup.twin, params.correction, host);
+  }
+
+  bool goes_on() const {
+    return !result_.released && std::ssize(result_.rounds) < params_.max_segments && !host_.cancelled();
+  }
+
+  /// Plans, executes one segment, observes.
+  void round(const SessionProgress& progress) {
+    const Index number = std::ssize(result_.rounds);
+    SessionRound round = planned(number);
     const Step segment("segment", number + 1);
     const Step execution("execution");
     const Vector control = round.plan.controls.row(0).transpose();
-    const SegmentPath path = trajectory.segment(task.manipulation, state, control);
-    timed([&] { environment.execute(path); });
-    state = path.end_state;
-    if (trajectory.released(state)) {
-      timed([&] { result.settle = environment.release(); });
-      result.released = true;
-    }
-    Observation seen = environment.observe();
-    previous = current;
-    current = filled(seen, round.plan.shapes.front().mean);
-    round.observed = *current;
-    result.error_mm = error_mm(seen);
-    if (plans) plans->add(control, seen);
-    last_seen = seen.observed;
-    if (estimator) chain.add(control, std::move(seen));
-    warm_start = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
-    if (warm_start.rows() == 0) warm_start = trajectory.default_controls(1);
-    if (progress) progress(round, number, result.error_mm);
-    result.rounds.push_back(std::move(round));
+    execute(control);
+    Observation seen = environment_.observe();
+    previous_ = current_;
+    current_ = filled(seen, round.plan.shapes.front().mean);
+    round.observed = *current_;
+    result_.error_mm = error_mm(seen);
+    if (plans_) plans_->add(control, seen);
+    last_seen_ = seen.observed;
+    if (estimator_) chain_.add(control, std::move(seen));
+    warm_start_ = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
+    if (warm_start_.rows() == 0) warm_start_ = trajectory_.default_controls(1);
+    if (progress) progress(round, number, result_.error_mm);
+    result_.rounds.push_back(std::move(round));
   }
-  result.estimates = chain.all();
-  if (plans) result.dropped_corrections = plans->dropped();
-  result.final_shape = environment.true_shape().value_or(*current);
-  result.errors =
-      shape_errors(result.final_shape, result.goal, task, result.shapes_are_true ? std::vector<bool>() : last_seen);
-  result.max_grasp_strain = environment.max_grasp_strain();
-  if (auto frames = environment.frames()) result.frames = std::move(*frames);
-  if (result.frames.empty()) result.frames = held_frames(result);
-  result.warnings = environment.warnings();
-  for (auto& warning : session_warnings(result, estimator)) result.warnings.push_back(std::move(warning));
+
+  SessionResult finished() {
+    result_.estimates = chain_.all();
+    if (plans_) result_.dropped_corrections = plans_->dropped();
+    result_.final_shape = environment_.true_shape().value_or(*current_);
+    result_.errors = shape_errors(result_.final_shape, result_.goal, setup_.task,
+                                  result_.shapes_are_true ? std::vector<bool>() : last_seen_);
+    result_.max_grasp_strain = environment_.max_grasp_strain();
+    if (auto frames = environment_.frames()) result_.frames = std::move(*frames);
+    if (result_.frames.empty()) result_.frames = held_frames(result_);
+    result_.warnings = environment_.warnings();
+    for (auto& warning : session_warnings(result_, estimator_)) result_.warnings.push_back(std::move(warning));
+    return std::move(result_);
+  }
+
+ private:
+  double error_mm(const Observation& seen) const {
+    const auto truth = environment_.true_shape();
+    return truth ? mean_distance_mm(*truth, result_.goal) : seen_distance_mm(seen, result_.goal);
+  }
+
+  SessionRound planned(Index number) {
+    SessionRound round;
+    round.state = state_;
+    PlanRequest request{.shape = current_,
+                        .previous = previous_,
+                        .state = state_,
+                        .goal = goal_,
+                        .knowledge = setup_.knowledge,
+                        .warm_start = warm_start_,
+                        .round = number,
+                        .seed = static_cast<std::uint64_t>(params_.seed)};
+    if (!plans_) {
+      if (estimator_) request.knowledge = chain_.knowledge(number - params_.knowledge_lag);
+      round.plan = setup_.planner->plan(request);
+      round.knowledge = request.knowledge;
+      return round;
+    }
+    // The correction that starts now makes the plan of segment number + lag.
+    const Index seen = std::min<Index>(number, number + params_.correction.lag - params_.knowledge_lag);
+    const auto known = estimator_ ? chain_.knowledge_later(seen) : [this] { return setup_.knowledge; };
+    std::tie(round.plan, round.correction) = number == 0 ? plans_->first(request) : plans_->next(known);
+    round.knowledge = plans_->knowledge();
+    return round;
+  }
+
+  void execute(const Vector& control) {
+    const auto started = std::chrono::steady_clock::now();
+    const SegmentPath path = trajectory_.segment(setup_.task.manipulation, state_, control);
+    environment_.execute(path);
+    state_ = path.end_state;
+    if (trajectory_.released(state_)) {
+      result_.settle = environment_.release();
+      result_.released = true;
+    }
+    result_.simulate_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+  }
+
+  const SessionParams& params_;
+  const SessionSetup& setup_;
+  Environment& environment_;
+  Host& host_;
+  const Trajectory& trajectory_;
+  const SessionEstimator* estimator_;
+  EstimateChain chain_;
+  std::optional<PlanChain> plans_;
+  SessionResult result_;
+  std::shared_ptr<const Positions> goal_, current_, previous_;
+  std::vector<bool> last_seen_;
+  Vector state_;
+  Controls warm_start_;
+};
+
+}  // namespace
+
+SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
+                          const SessionProgress& progress) {
+  // With one thread all work except the solvers' own arithmetic runs here, so other sessions of this process do not count.
+  const auto cpu_seconds = [&] { return host.threads() == 1 ? thread_cpu_seconds() : process_cpu_seconds(); };
+  const double cpu_before = cpu_seconds();
+  SessionRun run(params, setup, environment, host);
+  while (run.goes_on()) run.round(progress);
+  SessionResult result = run.finished();
   result.cpu_seconds = cpu_seconds() - cpu_before;
   return result;
 }
