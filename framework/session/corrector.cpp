@@ -4,13 +4,12 @@
 #include <cmath>
 
 #include "loader/where.hpp"
+#include "session/trust_region.hpp"
 
 namespace weft {
 namespace {
 
-// The trust region of the prototype: shrink where the model promised far more than came, grow where it kept its word.
-constexpr double kPoorGain = 0.25, kGoodGain = 0.6, kShrink = 0.35, kGrow = 2.0;
-constexpr double kEdge = 0.8;          // share of the radius from which a step counts as one to the edge
+constexpr TrustRegion kRegion{.shrink = 0.35, .edge = 0.8};
 constexpr double kLeastRadius = 0.01;  // in scales; below, the simulator's roughness decides
 constexpr double kLeastGain = 0.01;    // share of the loss; a search that promises less is not worth a simulation
 constexpr double kSecondRadius = 0.3;  // of two searches from one plan
@@ -116,12 +115,10 @@ class Corrector::Pool {
       const double step = owner_.planner_->distance(anchor.point, proposal.point);
       const double promised = anchor.loss - proposal.point.loss;
       const double gain = std::isfinite(result.loss) ? (anchor.loss - result.loss) / promised : -1.0;
-      if (gain < kPoorGain) {
-        result.radius = kShrink * std::min(proposal.radius, step);
+      result.radius = kRegion.next(proposal.radius, step, gain);
+      if (TrustRegion::is_poor(gain)) {
         anchor.radius = std::min(anchor.radius, result.radius);
         anchor.exhausted = anchor.radius < kLeastRadius;
-      } else if (gain > kGoodGain && step > kEdge * proposal.radius) {
-        result.radius = kGrow * proposal.radius;
       }
       // The better of the two goes on; the anchor waits behind it.
       if (gain > 0.0) anchor.radius *= kSecondRadius;

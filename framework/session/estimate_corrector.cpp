@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "loader/where.hpp"
+#include "session/trust_region.hpp"
 
 namespace weft {
 namespace {
@@ -17,8 +18,7 @@ constexpr Index kThickness = 3, kUnknowns = 5;  // q and b
 constexpr double kFloor = 1e-5;                 // m: residual below which a shape is as good as met
 constexpr double kGoodResidual = 5e-5;          // m: above, and above the noise, a small step is no reason to stop
 constexpr double kRidge = 0.05;                 // of the least-change update, relative
-constexpr double kPoorGain = 0.25, kGoodGain = 0.6, kShrink = 0.4, kGrow = 2.0, kEdge = 0.9;
-constexpr double kLeastRadius = 2e-4;
+constexpr double kLeastChange = 2e-4;           // of a property; a radius below is none
 
 using Unknowns = Eigen::Matrix<double, kUnknowns, 1>;
 using Normal = Eigen::Matrix<double, kUnknowns, kUnknowns>;
@@ -366,7 +366,7 @@ Estimate EstimateCorrector::correct(const EstimateRequest& request, const Materi
     double promised = 0.0;
     const MaterialProperties step = search.step(best, h, g, radius, promised);
     const double length = step.cwiseAbs().maxCoeff();
-    if (length < params_.least_step || radius < kLeastRadius) {
+    if (length < params_.least_step || radius < kLeastChange) {
       // A small step is an end only where the sequence is met.
       if (search.is_met(best) || simulated || search.simulations() + 4 >= budget) break;
       simulated = search.simulated_jacobian(best);
@@ -376,10 +376,7 @@ Estimate EstimateCorrector::correct(const EstimateRequest& request, const Materi
     }
     Search::Point next = search.simulate((best.q + step).cwiseMax(0.0).cwiseMin(1.0));
     const double gain = std::isfinite(next.loss) ? (best.loss - next.loss) / promised : -1.0;
-    if (gain < kPoorGain)
-      radius = kShrink * std::min(radius, length);
-    else if (gain > kGoodGain && length > kEdge * radius)
-      radius *= kGrow;
+    radius = TrustRegion().next(radius, length, gain);
     if (next.loss < best.loss) std::swap(best, next);
     tried.push_back(std::move(next));
     is_new = true;
