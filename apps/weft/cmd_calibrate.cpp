@@ -10,6 +10,7 @@
 #include "learning/held_out.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "sdk/json_text.hpp"
 #include "weft/config.hpp"
 #include "weft/trainable.hpp"
 
@@ -35,7 +36,7 @@ void require_place(const fs::path& file, const std::vector<fs::path>& originals)
 /// The identity in a MODEL.calibration.json; unknown without one.
 Identity calibration_identity(const fs::path& record) {
   std::ifstream stream(record, std::ios::binary);
-  const auto json = ordered_json::parse(stream, nullptr, false);
+  const auto json = parse_json_if_valid(std::string{std::istreambuf_iterator<char>(stream), {}});
   return json.is_object() && json.contains("provenance") ? identity_in(json["provenance"].dump(), record.string())
                                                          : Identity();
 }

@@ -8,6 +8,7 @@
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
 #include "options.hpp"
+#include "sdk/json_text.hpp"
 #include "weft/dataset.hpp"
 
 namespace weft::app {
@@ -32,8 +33,9 @@ int info(const Context& context, const std::string& folder) {
     const Shard shard = read_shard(file);
     header = shard.header;
     bytes += fs::file_size(file);
-    const auto provenance = ordered_json::parse(header.provenance, nullptr, false);
-    commits.insert(provenance.is_object() ? provenance.value("commit", "unknown") : "unknown");
+    const auto provenance = parse_json_if_valid(header.provenance);
+    const bool named = provenance.is_object() && provenance.contains("commit") && provenance["commit"].is_string();
+    commits.insert(named ? provenance["commit"].get<std::string>() : "unknown");
     const Identity identity = identity_in(header.provenance, file.string());
     identities[identity.hash()] = identity;
     belonging[identity.hash()] += std::ssize(shard.examples);

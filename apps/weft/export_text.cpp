@@ -5,6 +5,7 @@
 
 #include "exports.hpp"
 #include "sdk/files.hpp"
+#include "sdk/json_text.hpp"
 #include "weft/garment.hpp"
 
 namespace weft::app {
@@ -130,11 +131,11 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   vertices.commit();
 
   TextFile segments(folder / "segments.csv");
-  const auto summary = nlohmann::json::parse(session.summary, nullptr, false);
-  const auto trajectory = nlohmann::json::parse(session.trajectory, nullptr, false);
+  const auto summary = parse_json_if_valid(session.summary);
+  const auto trajectory = parse_json_if_valid(session.trajectory);
   const auto number_of = [&](const char* key, std::size_t i) {
     const bool there = summary.is_object() && summary.contains(key) && i < summary[key].size();
-    return there ? summary[key][i].get<double>() : std::nan("");
+    return there && summary[key][i].is_number() ? summary[key][i].get<double>() : std::nan("");
   };
   const auto names = [&](const char* kind, Index count) {
     for (Index c = 0; c < count; ++c) {

@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "experiments/csv.hpp"
 #include "experiments/json_numbers.hpp"
@@ -71,10 +73,9 @@ std::vector<Factor> read_factors(const ConfigNode& node) {
       for (const auto& level : levels.keys()) factor.levels.push_back({level, read_changes(levels.at(level))});
     }
     if (factor.levels.empty()) levels.fail("must be a list of values, or a mapping of levels, and not empty");
-    for (std::size_t i = 0; i < factor.levels.size(); ++i)
-      for (std::size_t k = 0; k < i; ++k)
-        if (factor.levels[i].name == factor.levels[k].name)
-          levels.fail("names the level '" + factor.levels[i].name + "' twice");
+    std::set<std::string> names;
+    for (const auto& level : factor.levels)
+      if (!names.insert(level.name).second) levels.fail("names the level '" + level.name + "' twice");
     factors.push_back(std::move(factor));
   }
   return factors;
@@ -82,9 +83,10 @@ std::vector<Factor> read_factors(const ConfigNode& node) {
 
 std::vector<std::uint64_t> read_seeds(const ConfigNode& node, const std::uint64_t* first_seed) {
   std::vector<std::uint64_t> seeds;
+  std::set<std::uint64_t> known;
   const auto add = [&](const ConfigNode& from, std::int64_t seed) {
     if (seed < 0) from.fail("= " + std::to_string(seed) + ", must be >= 0");
-    if (std::find(seeds.begin(), seeds.end(), static_cast<std::uint64_t>(seed)) != seeds.end())
+    if (!known.insert(static_cast<std::uint64_t>(seed)).second)
       from.fail("names the seed " + std::to_string(seed) + " twice");
     seeds.push_back(static_cast<std::uint64_t>(seed));
   };
@@ -100,6 +102,8 @@ std::vector<std::uint64_t> read_seeds(const ConfigNode& node, const std::uint64_
                                                    : 1;
   const std::int64_t count = node.at("count").as_int();
   if (count < 1 || count > 1000000) node.at("count").fail("= " + std::to_string(count) + ", must be in [1, 1000000]");
+  if (first < 0 || first > std::numeric_limits<std::int64_t>::max() - count)
+    node.fail("has seeds from " + std::to_string(first) + " on, must be in [0, 9e18]");
   for (std::int64_t i = 0; i < count; ++i) add(node, first + i);
   return seeds;
 }

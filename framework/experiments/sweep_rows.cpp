@@ -3,12 +3,14 @@
 #include <algorithm>
 #include <cstdio>
 #include <fstream>
+#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 
 #include "experiments/json_numbers.hpp"
 #include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
+#include "sdk/json_text.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -48,7 +50,7 @@ fs::path identity_file(const fs::path& folder, const std::string& hash) {
 
 ordered_json read_json(const fs::path& file) {
   std::ifstream stream(file, std::ios::binary);
-  return ordered_json::parse(stream);
+  return parse_json(std::string{std::istreambuf_iterator<char>(stream), {}});
 }
 
 SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, std::uint64_t seed) {

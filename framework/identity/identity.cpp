@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "identity/sha256.hpp"
+#include "sdk/json_text.hpp"
 
 namespace weft {
 namespace {
@@ -96,7 +97,8 @@ class Collector {
   ordered_json file(const ConfigNode& node, const std::string& key) {
     const std::string name = node.as_string();
     if (name.empty()) return "";
-    const std::string hash = fs::is_directory(name) ? sha256_of_dataset(name) : sha256_of_file(name);
+    std::error_code ignored;
+    const std::string hash = fs::is_directory(name, ignored) ? sha256_of_dataset(name) : sha256_of_file(name);
     files_[key] = short_name(name);
     return "sha256 " + hash;
   }
@@ -141,6 +143,20 @@ std::string hash_of(const ordered_json& document) {
   nlohmann::json compared;
   for (const char* key : {"weft", "config", "plugins"}) compared[key] = nlohmann::json::parse(document.at(key).dump());
   return sha256(compared.dump()).substr(0, 32);
+}
+
+/// @throws ConfigError unless the document holds what is compared and shown.
+void check_document(const ordered_json& document) {
+  const auto is_plugin = [](const ordered_json& plugin) {
+    return plugin.is_object() && plugin.contains("version") && plugin["version"].is_string() &&
+           plugin.contains("sha256") && plugin["sha256"].is_string();
+  };
+  const auto &config = document.at("config"), &plugins = document.at("plugins");
+  if (!document.at("weft").is_string() || !config.is_object() || !plugins.is_object() ||
+      (config.contains("command") && !config["command"].is_string()) ||
+      !std::all_of(plugins.begin(), plugins.end(), is_plugin)) {
+    throw ConfigError("is not an identity: must have weft, config and plugins: {KIND/NAME: {version, sha256}}");
+  }
 }
 
 /// The leaves of a JSON value by dotted key. A list is a leaf.
@@ -192,10 +208,11 @@ Identity make_identity(const IdentityInput& input) {
 Identity Identity::from_json(const std::string& json) {
   Identity identity;
   try {
-    const ordered_json document = ordered_json::parse(json);
+    const ordered_json document = parse_json(json);
     if (document.at("schema") != kSchema)
       throw ConfigError("has the schema '" + document.at("schema").get<std::string>() + "', this program reads '" +
                         kSchema + "'");
+    check_document(document);
     identity.hash_ = hash_of(document);
     identity.json_ = document.dump(2) + "\n";
   } catch (const ordered_json::exception& error) {
@@ -315,7 +332,7 @@ std::vector<std::string> Identity::changes_since(const Identity& earlier) const 
 }
 
 Identity identity_in(const std::string& provenance, const std::string& where) {
-  const ordered_json json = ordered_json::parse(provenance, nullptr, false);
+  const ordered_json json = parse_json_if_valid(provenance);
   if (!json.is_object()) throw ConfigError(where + ": is not a provenance: no JSON object");
   const auto found = json.find("identity");
   if (found == json.end()) return {};

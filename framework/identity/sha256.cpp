@@ -73,6 +73,8 @@ std::string sha256_of_file(const fs::path& file) {
   static std::mutex mutex;
   static std::map<fs::path, std::pair<State, std::string>> known;
   std::error_code unreadable, ignored;
+  if (const auto status = fs::status(file, ignored); fs::exists(status) && !fs::is_regular_file(status))
+    throw ConfigError(file.string() + ": is not a file");  // a device may never end
   const State state{fs::file_size(file, unreadable), fs::last_write_time(file, ignored)};
   const fs::path key = fs::weakly_canonical(file, ignored);
   if (!unreadable) {

@@ -305,8 +305,8 @@ Shard read_shard(const fs::path& path) {
   Shard shard;
   shard.header = read_header(file, path);
   const Columns columns = read_columns(file, path, shard.header);
-  if (columns.checksum() != file.read_text("/checksum"))
-    refuse(path, "is damaged: the content does not have the recorded checksum");
+  if (const auto got = columns.checksum(), recorded = file.read_text("/checksum"); got != recorded)
+    refuse(path, "is damaged: its content has the checksum " + got + ", not the recorded checksum " + recorded);
   shard.examples = to_examples(columns, shard.header);
   return shard;
 }

@@ -6,22 +6,17 @@
 #include <algorithm>
 #include <boost/dll/shared_library.hpp>
 #include <cstdlib>
-#include <cstring>
 #include <map>
 #include <mutex>
-#include <optional>
 #include <set>
 #include <sstream>
 
+#include "loader/plugin_info.hpp"
 #include "loader/where.hpp"
 #include "processes/crash_report.hpp"
 #include "sdk/files.hpp"
 #include "weft/config.hpp"
-#include "weft/optimiser.hpp"
 #include "weft/plugin.hpp"
-#include "weft/predictor.hpp"
-#include "weft/simulator.hpp"
-#include "weft/trajectory.hpp"
 
 namespace weft {
 namespace {
@@ -33,56 +28,9 @@ using CreateFunction = void*(Host*, const ConfigNode*);
 using DestroyFunction = void(void*);
 using VisitFunction = void(ParamVisitor*);
 
-constexpr const char* kKinds[] = {"simulator", "predictor", "trajectory", "optimiser"};
-
 /// "./x", "/x" and "x.so" are files; all others are names.
 bool is_file_name(const std::string& name) {
   return name.ends_with(".so") || name.starts_with("/") || name.starts_with("./") || name.starts_with("../");
-}
-
-std::string text_of(const char* chars, std::size_t size) { return std::string(chars, strnlen(chars, size)); }
-
-/// What a plugin of some kind must agree on with this weft.
-struct KindInfo {
-  int version;
-  std::vector<TypeSize> crossing;
-};
-template <class Interface>
-KindInfo kind_info() {
-  constexpr auto types = crossing_types<Interface>();
-  return {Interface::kVersion, {types.begin(), types.end()}};
-}
-std::optional<KindInfo> info_of(const std::string& kind) {
-  if (kind == Simulator::kKind) return kind_info<Simulator>();
-  if (kind == Predictor::kKind) return kind_info<Predictor>();
-  if (kind == Trajectory::kKind) return kind_info<Trajectory>();
-  if (kind == Optimiser::kKind) return kind_info<Optimiser>();
-  return std::nullopt;
-}
-
-/// The kind and name in libweft_KIND_NAME.so, the file that weft_add_plugin() makes; two empty strings for all others.
-std::pair<std::string, std::string> named_by(const fs::path& file) {
-  const std::string stem = file.stem().string();
-  for (const std::string kind : kKinds) {
-    const std::string prefix = "libweft_" + kind + "_";
-    if (stem.starts_with(prefix) && stem.size() > prefix.size()) return {kind, stem.substr(prefix.size())};
-  }
-  return {};
-}
-
-/// Letters, digits and `more`, at least one of them. Independent of the locale.
-bool is_made_of(const std::string& text, const std::string& more) {
-  return !text.empty() && std::all_of(text.begin(), text.end(), [&](char c) {
-    return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
-           more.find(c) != std::string::npos;
-  });
-}
-
-/// The bytes of a text that may be anything, for a message.
-std::string printable(std::string text) {
-  for (char& c : text)
-    if (c < ' ' || c > '~') c = '?';
-  return text;
 }
 
 /// Size of an exported object in its library's symbol table; 0 if unknown.
@@ -92,6 +40,13 @@ std::size_t exported_size(const void* address) {
   if (dladdr1(address, &info, &symbol, RTLD_DL_SYMENT) == 0 || symbol == nullptr) return 0;
   return static_cast<const ElfW(Sym)*>(symbol)->st_size;
 }
+
+// clang's address sanitizer puts the guard behind a global into its size.
+#if defined(__clang__) && defined(__has_feature)
+constexpr bool kPadsGlobals = __has_feature(address_sanitizer);
+#else
+constexpr bool kPadsGlobals = false;
+#endif
 
 /// A library that passed all checks that need no C++ call.
 struct Library {
@@ -125,52 +80,13 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
     }
   }
   const auto& info = library->handle.get<const WeftPluginInfo>("weft_plugin_info");
-  if (exported_size(&info) != 0 && exported_size(&info) != sizeof(WeftPluginInfo)) {
-    refuse("weft_plugin_info has " + std::to_string(exported_size(&info)) + " bytes, this weft's has " +
+  const std::size_t size = exported_size(&info);
+  if (size != 0 && (kPadsGlobals ? size < sizeof(WeftPluginInfo) : size != sizeof(WeftPluginInfo))) {
+    refuse("weft_plugin_info has " + std::to_string(size) + " bytes, this weft's has " +
            std::to_string(sizeof(WeftPluginInfo)) + "; rebuild it with this weft's headers");
   }
-  if (text_of(info.magic, sizeof(info.magic)) != "weftplu") {
-    refuse("weft_plugin_info does not start with 'weftplu'; rebuild it with this weft's headers");
-  }
-  const std::string abi = text_of(info.abi_tag, sizeof(info.abi_tag));
-  if (abi != WEFT_ABI_TAG) {
-    refuse("built as '" + abi +
-           "', this weft is '" WEFT_ABI_TAG
-           "'; build it with weft_add_plugin() and the same compiler, Eigen and alignment");
-  }
-  auto& entry = library->entry;
-  entry.kind = text_of(info.kind, sizeof(info.kind));
-  entry.name = text_of(info.name, sizeof(info.name));
-  entry.version = text_of(info.version, sizeof(info.version));
-  const auto ours = info_of(entry.kind);
-  if (!ours) {
-    refuse("is of kind '" + printable(entry.kind) + "', must be simulator, predictor, trajectory or optimiser");
-  }
-  if (info.interface_version != ours->version) {
-    refuse("has interface version " + std::to_string(info.interface_version) + " of " + entry.kind +
-           ", this weft has " + std::to_string(ours->version) +
-           "; rebuild it with this weft's headers (MIGRATION.md says what changed)");
-  }
-  for (std::size_t i = 0; i < ours->crossing.size(); ++i) {
-    const auto& [type, bytes] = ours->crossing[i];
-    if (info.sizes[i] != bytes) {
-      refuse("in it " + std::string(type) + " has " + std::to_string(info.sizes[i]) + " bytes, in this weft " +
-             std::to_string(bytes) + "; rebuild it with this weft's headers and the options of weft_add_plugin()");
-    }
-  }
-  if (entry.name.empty()) refuse("has no name");
-  if (!is_made_of(entry.name, "_-")) {
-    refuse("is called '" + printable(entry.name) + "', must be letters, digits, _ and -; change WEFT_PLUGIN(...)");
-  }
-  if (!is_made_of(entry.version, "._+-")) {
-    refuse("has the version '" + printable(entry.version) +
-           "', must be letters, digits, '.', '_', '+' and '-', such as 1.0.0; change WEFT_PLUGIN(...)");
-  }
-  if (const auto [kind, name] = named_by(file); !kind.empty() && (kind != entry.kind || name != entry.name)) {
-    refuse("is named after " + kind + "/" + name + ", but WEFT_PLUGIN(...) in it says " + entry.kind + "/" +
-           entry.name + "; give weft_add_plugin() and WEFT_PLUGIN the same kind and name");
-  }
-  announce_plugin(entry.kind + " " + entry.name, &info);
+  library->entry = checked_plugin_info(info, file);
+  announce_plugin(library->entry.kind + " " + library->entry.name, &info);
   return library;
 }
 
@@ -323,7 +239,7 @@ std::vector<PluginEntry> PluginRegistry::list() const {
 
 PluginEntry PluginRegistry::find(const std::string& name_or_file, const std::string& kind) const {
   const auto require_kind = [](const std::string& wanted) {
-    const std::vector<std::string> kinds(std::begin(kKinds), std::end(kKinds));
+    const auto& kinds = plugin_kinds();
     if (!wanted.empty() && std::find(kinds.begin(), kinds.end(), wanted) == kinds.end())
       throw PluginError("'" + wanted + "' is not a kind of plugin, must be " + one_of(kinds) +
                         nearest_hint(wanted, kinds));

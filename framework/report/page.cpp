@@ -9,6 +9,7 @@
 #include "report/page_data.hpp"
 #include "report/times.hpp"
 #include "sdk/files.hpp"
+#include "sdk/json_text.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/simulator.hpp"
 
@@ -32,9 +33,9 @@ ordered_json rows_of(const Controls& matrix) {
   return rows;
 }
 
-ordered_json parse_json(const std::string& text, const std::string& name) {
+ordered_json parse_named_json(const std::string& text, const std::string& name) {
   try {
-    return ordered_json::parse(text);
+    return parse_json(text);
   } catch (const ordered_json::exception& error) {
     throw ConfigError(name + ": is not JSON: " + error.what());
   }
@@ -79,7 +80,9 @@ void add_cases(PageData& page, const fs::path& path) {
   };
   const auto corners = file.read_int("/garment/faces");
   if (corners.size() % 3 != 0) fail("/garment/faces", "must have the shape [n, 3]");
-  const Index vertices = file.shape("/garment/rest").at(0);
+  const auto rest = file.shape("/garment/rest");
+  if (rest.size() != 2 || rest[1] != 2) fail("/garment/rest", "must have the shape [n, 2]");
+  const Index vertices = rest[0];
   for (const auto corner : corners) {
     if (corner < 0 || corner >= vertices) fail("/garment/faces", "names a vertex that does not exist");
   }
@@ -159,15 +162,16 @@ std::string session_page(const std::string& page_template, const SessionRecord& 
   PageData page;
   auto& json = page.json;
   json["kind"] = "session";
-  json["summary"] = parse_json(session.summary, "summary of the session");
+  json["summary"] = parse_named_json(session.summary, "summary of the session");
   for (const char* key : {"plan_seconds", "estimate_seconds"})  // a session.h5 alone has no times
     if (!json["summary"].contains(key)) json["summary"][key] = ordered_json::array();
-  json["provenance"] = parse_json(session.provenance, "provenance of the session");
+  json["provenance"] = parse_named_json(session.provenance, "provenance of the session");
   json["config"] = session.config;
   json["properties"] = kPropertyNames;
   json["garment"] = garment_json(page, session.garment_name, session.faces, session.vertex_count());
   json["garment"]["held"] = session.grasp_vertices;
-  if (!session.trajectory.empty()) json["trajectory"] = parse_json(session.trajectory, "trajectory of the session");
+  if (!session.trajectory.empty())
+    json["trajectory"] = parse_named_json(session.trajectory, "trajectory of the session");
   auto& data = json["session"];
   data["frames_per_segment"] = kFramesPerSegment;
   data["frame_seconds"] = kFrameSeconds;
@@ -208,15 +212,15 @@ std::string experiment_page(const std::string& page_template, const fs::path& fo
   json["kind"] = fs::exists(folder / "ablation.json") ? "ablation" : "evaluation";
   json["properties"] = kPropertyNames;
   if (fs::exists(folder / "provenance.json")) {
-    json["provenance"] = parse_json(with_machine_of(read_text(folder / "provenance.json"), folder),
-                                    (folder / "provenance.json").string());
+    json["provenance"] = parse_named_json(with_machine_of(read_text(folder / "provenance.json"), folder),
+                                          (folder / "provenance.json").string());
   }
   if (fs::exists(folder / "config.yaml")) json["config"] = read_text(folder / "config.yaml");
   for (const std::string name : kExperiments) {
     const fs::path file = folder / (name + ".json");
     if (!fs::exists(file)) continue;
-    json[name] = parse_json(read_text(file), file.string());
-    json[name] = parse_json(with_times_of(json[name].dump(), folder, name + ".json"), file.string());
+    json[name] = parse_named_json(read_text(file), file.string());
+    json[name] = parse_named_json(with_times_of(json[name].dump(), folder, name + ".json"), file.string());
   }
   if (fs::exists(folder / "cases.h5")) add_cases(page, folder / "cases.h5");
   return page.fill(page_template);

@@ -1,9 +1,11 @@
 #include "report/times.hpp"
 
 #include <fstream>
+#include <iterator>
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "sdk/json_text.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -33,7 +35,7 @@ ordered_json read_times(const std::filesystem::path& folder) {
   const auto file = folder / "times.json";
   std::ifstream stream(file, std::ios::binary);
   if (!stream) return nullptr;
-  const auto times = ordered_json::parse(stream, nullptr, false);
+  const auto times = parse_json_if_valid(std::string{std::istreambuf_iterator<char>(stream), {}});
   if (!times.is_object())
     throw ConfigError(file.string() + ": is damaged: no JSON object; remove it to go without times");
   return times;
@@ -48,7 +50,7 @@ std::string times_json(int threads, const std::vector<std::pair<std::string, std
 }
 
 std::string with_times(const std::string& json, const std::string& times) {
-  ordered_json result = ordered_json::parse(json, nullptr, false);
+  ordered_json result = parse_json_if_valid(json);
   if (result.is_discarded()) throw ConfigError("a result that has times in times.json is not JSON");
   join(result, ordered_json::parse(times));
   return saved_text(result);

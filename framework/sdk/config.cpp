@@ -1,5 +1,6 @@
 #include "weft/config.hpp"
 
+#include <yaml-cpp/eventhandler.h>
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
@@ -28,6 +29,7 @@ namespace fs = std::filesystem;
 constexpr int kMaxDepth = 64;                      // deeper YAML is an attack, not a configuration
 constexpr std::size_t kMaxNodes = 200'000;         // YAML aliases can multiply without bound
 constexpr std::streamsize kMaxBytes = 16'000'000;  // of a file
+constexpr std::size_t kMaxText = 64'000'000;       // of all values and their paths; an alias repeats its text
 
 std::string join(const std::string& path, std::string_view key) {
   return path.empty() ? std::string(key) : path + "." + std::string(key);
@@ -38,6 +40,7 @@ struct Source {
   fs::path folder;
   bool has_lines = true;  // false: from the command line, so messages give no line number
   std::size_t nodes = 0;
+  std::size_t text = 0;  // bytes of the values and paths so far
   std::vector<std::string_view> lines;
 
   int line(const YAML::Mark& mark) const { return has_lines && mark.line >= 0 ? mark.line + 1 : 0; }
@@ -63,6 +66,12 @@ ConfigNode convert(const YAML::Node& node, Source& source, const std::string& pa
   if (++source.nodes > kMaxNodes) {
     fail_at(source.name, line,
             "holds more than " + std::to_string(kMaxNodes) + " values (an alias counts each time it is used)");
+  }
+  source.text += path.size() + (node.IsScalar() ? node.Scalar().size() : 0);
+  if (source.text > kMaxText) {
+    fail_at(source.name, line,
+            "holds more than " + std::to_string(kMaxText / 1'000'000) +
+                " MB of text (an alias counts each time it is used, and a key for every value below it)");
   }
   ConfigNode::Kind kind = ConfigNode::Kind::null;
   std::string text;
@@ -105,10 +114,52 @@ ConfigNode convert(const YAML::Node& node, Source& source, const std::string& pa
       {kind, std::move(text), is_quoted, std::move(entries), std::move(items), source.name, line, source.folder, path});
 }
 
+/// Counts values before yaml-cpp makes a tree of them, which takes a few hundred bytes for each.
+class ValueCounter final : public YAML::EventHandler {
+ public:
+  explicit ValueCounter(const Source& source) : source_(source) {}
+  void OnDocumentStart(const YAML::Mark& mark) override { count(mark); }
+  void OnDocumentEnd() override {}
+  void OnNull(const YAML::Mark& mark, YAML::anchor_t) override { count(mark); }
+  void OnAlias(const YAML::Mark& mark, YAML::anchor_t) override { count(mark); }
+  void OnScalar(const YAML::Mark& mark, const std::string&, YAML::anchor_t, const std::string&) override {
+    count(mark);
+  }
+  void OnSequenceStart(const YAML::Mark& mark, const std::string&, YAML::anchor_t, YAML::EmitterStyle::value) override {
+    count(mark);
+  }
+  void OnSequenceEnd() override {}
+  void OnMapStart(const YAML::Mark& mark, const std::string&, YAML::anchor_t, YAML::EmitterStyle::value) override {
+    count(mark);
+  }
+  void OnMapEnd() override {}
+
+ private:
+  void count(const YAML::Mark& mark) {
+    if (++values_ <= 2 * kMaxNodes) return;  // keys count as well
+    fail_at(source_.name, source_.line(mark), "holds more than " + std::to_string(kMaxNodes) + " values");
+  }
+  const Source& source_;
+  std::size_t values_ = 0;
+};
+
 ConfigNode parse_text(std::string_view text, Source& source) {
+  if (std::cmp_greater(text.size(), kMaxBytes))
+    fail_at(source.name, 0, "is larger than " + std::to_string(kMaxBytes / 1'000'000) + " MB");
   if (const int line = line_that_is_not_utf8(text)) fail_at(source.name, line, "is not UTF-8 text");
   source.lines = yaml_lines(text);
   try {
+    if (text.size() > kMaxNodes) {  // less text cannot hold more values
+      // yaml-cpp keeps all open brackets, which may begin a key, before it reports the first.
+      if (std::cmp_greater(std::count_if(text.begin(), text.end(), [](char c) { return c == '[' || c == '{'; }),
+                           kMaxNodes))
+        fail_at(source.name, 0, "holds more than " + std::to_string(kMaxNodes) + " brackets");
+      ValueCounter counter(source);
+      std::istringstream stream{std::string(text)};
+      YAML::Parser parser(stream);
+      while (parser.HandleNextDocument(counter)) {
+      }
+    }
     const auto documents = YAML::LoadAll(std::string(text));
     if (documents.size() > 1) fail_at(source.name, 0, "holds several YAML documents, must be one");
     if (documents.empty()) return Access::make({.file = source.name, .folder = source.folder});
@@ -479,6 +530,8 @@ fs::path ConfigNode::as_path() const {
 ConfigNode ConfigNode::with(std::string_view dotted_path, const ConfigNode& value) const {
   const auto dot = dotted_path.find('.');
   const std::string key(dotted_path.substr(0, dot));
+  if (std::count(dotted_path.begin(), dotted_path.end(), '.') > kMaxDepth)
+    fail("has a path of more than " + std::to_string(kMaxDepth) + " levels");
   if (key.empty()) fail("has an empty key in the path '" + std::string(dotted_path) + "'");
   auto copy = *data_;
   const auto changed = [&](const ConfigNode& old) {

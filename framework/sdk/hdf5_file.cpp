@@ -28,6 +28,26 @@ std::recursive_mutex& library_mutex() {
 }
 using Lock = std::lock_guard<std::recursive_mutex>;
 
+/// Deflate, the strongest filter in use, makes at most 1032 bytes out of one.
+constexpr hsize_t kLargestExpansion = 1032;
+constexpr hsize_t kLeastChunk = 1 << 20;  // bytes; HDF5 needs memory for a whole chunk, and may keep one this large
+
+herr_t refuse_link(const char*, const char*, const char*, const char*, unsigned*, hid_t, void*) { return -1; }
+/// How objects are looked up: links to other files are not followed. A file holds what it says, or it is refused.
+hid_t within_the_file(hid_t kind) {
+  const hid_t access = H5Pcreate(kind);
+  H5Pset_elink_cb(access, refuse_link, nullptr);
+  return access;
+}
+hid_t dataset_access() {  // serves for links as well
+  static const hid_t access = within_the_file(H5P_DATASET_ACCESS);
+  return access;
+}
+hid_t group_access() {
+  static const hid_t access = within_the_file(H5P_GROUP_ACCESS);
+  return access;
+}
+
 /// Owns an HDF5 identifier.
 class Handle {
  public:
@@ -113,14 +133,14 @@ struct Hdf5File::Impl {
     throw ConfigError(file.string() + ": " + path + " " + message);
   }
   hid_t open_dataset(const std::string& path) const {
-    const hid_t set = exists(path) ? H5Dopen2(id, path.c_str(), H5P_DEFAULT) : -1;
+    const hid_t set = exists(path) ? H5Dopen2(id, path.c_str(), dataset_access()) : -1;
     if (set < 0) fail(path, "is missing");
     return set;
   }
   bool exists(const std::string& path) const {
     // HDF5 can check a path only step by step: each step must exist before the next is checked.
     for (std::size_t slash = path.find('/', 1);; slash = path.find('/', slash + 1)) {
-      if (H5Lexists(id, path.substr(0, slash).c_str(), H5P_DEFAULT) <= 0) return false;
+      if (H5Lexists(id, path.substr(0, slash).c_str(), dataset_access()) <= 0) return false;
       if (slash == std::string::npos) return true;
     }
   }
@@ -131,7 +151,32 @@ struct Hdf5File::Impl {
     if (rank < 0 || rank > 8) fail(path, "has a rank that is not supported");
     std::vector<hsize_t> dims(rank);
     H5Sget_simple_extent_dims(space, dims.data(), nullptr);
+    for (const hsize_t n : dims)
+      if (n > hsize_t{1} << 48) fail(path, "has an extent that is not supported");
     return {dims.begin(), dims.end()};
+  }
+  /// A shape says how much memory reading takes, and costs nothing to write. So the file must hold the data as well.
+  /// @param bytes of the data, without compression.
+  void require_stored(hid_t set, const std::string& path, hsize_t bytes) const {
+    const Handle options(H5Dget_create_plist(set), H5Pclose);
+    const auto layout = H5Pget_layout(options);
+    if (layout == H5D_VIRTUAL || H5Pget_external_count(options) > 0) fail(path, "keeps its data in another file");
+    hsize_t size = 0;
+    H5Fget_filesize(id, &size);
+    const hsize_t stored = std::min(H5Dget_storage_size(set), size);
+    const hsize_t most = H5Pget_nfilters(options) > 0 ? stored * kLargestExpansion : stored;
+    if (bytes > most) {
+      fail(path, "has " + std::to_string(bytes) + " bytes by its shape, but the file holds " + std::to_string(stored) +
+                     " of it; the file is damaged");
+    }
+    if (layout != H5D_CHUNKED) return;
+    hsize_t chunk[H5S_MAX_RANK] = {}, chunk_bytes = H5Tget_size(Handle(H5Dget_type(set), H5Tclose));
+    const int rank = H5Pget_chunk(options, H5S_MAX_RANK, chunk);
+    for (int i = 0; i < rank; ++i) {
+      if (chunk[i] != 0 && chunk_bytes > std::max(most, kLeastChunk) / chunk[i])
+        fail(path, "is stored in chunks that are larger than itself");
+      chunk_bytes *= chunk[i];
+    }
   }
   template <class T>
   std::vector<T> read(const std::string& path, hid_t type, std::size_t max_elements) const {
@@ -140,11 +185,14 @@ struct Hdf5File::Impl {
     const Handle stored(H5Dget_type(set), H5Tclose);
     const auto kind = H5Tget_class(stored);
     if (kind != H5T_INTEGER && kind != H5T_FLOAT) fail(path, "is not an array of numbers");
+    if (H5Sget_simple_extent_type(Handle(H5Dget_space(set), H5Sclose)) == H5S_NULL) fail(path, "holds nothing");
     std::size_t count = 1;
     for (const Index n : shape(set, path)) {
       if (n != 0 && count > max_elements / static_cast<std::size_t>(n)) fail(path, "is larger than this program reads");
       count *= static_cast<std::size_t>(n);
     }
+    if (H5Tget_size(stored) > 16) fail(path, "holds numbers of a size that is not supported");
+    require_stored(set, path, count * H5Tget_size(stored));
     std::vector<T> values(count);
     if (count > 0 && H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()) < 0)
       fail(path, "cannot be read; the file is damaged");
@@ -268,7 +316,7 @@ bool Hdf5File::has(const std::string& path) const {
 std::vector<std::string> Hdf5File::list(const std::string& group) const {
   const Lock lock(library_mutex());
   std::vector<std::string> names;
-  const Handle handle(H5Gopen2(impl_->id, group.c_str(), H5P_DEFAULT), H5Gclose);
+  const Handle handle(impl_->exists(group) ? H5Gopen2(impl_->id, group.c_str(), group_access()) : -1, H5Gclose);
   if (!handle.good()) impl_->fail(group, "is missing");
   H5G_info_t info{};
   H5Gget_info(handle, &info);
@@ -309,6 +357,7 @@ std::string Hdf5File::read_text(const std::string& path) const {
       H5Tget_size(type) > kLongest) {
     impl_->fail(path, "is not a text");
   }
+  impl_->require_stored(set, path, H5Tget_size(type));
   std::string text(H5Tget_size(type), '\0');
   if (H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.data()) < 0)
     impl_->fail(path, "cannot be read; the file is damaged");

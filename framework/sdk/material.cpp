@@ -3,10 +3,12 @@
 #include <algorithm>
 #include <cmath>
 #include <fstream>
+#include <iterator>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "sdk/json_text.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -188,7 +190,7 @@ Fabric read_arcsim(const std::filesystem::path& path) {
   if (!in || !std::filesystem::is_regular_file(path)) throw ConfigError(path.string() + ": no such file");
   nlohmann::json json;
   try {
-    json = nlohmann::json::parse(in, nullptr, true, true);
+    json = parse_json<nlohmann::json>(std::string{std::istreambuf_iterator<char>(in), {}}, true);
   } catch (const nlohmann::json::exception& error) {
     throw ConfigError(path.string() + ": not valid JSON: " + error.what());
   }

@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "processes/child_process.hpp"
+#include "sdk/json_text.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -148,10 +149,10 @@ class ProcessEnvironment::Link {
   json parsed(const std::string& asked, const std::string& line) const {
     bool finite = true;
     try {
-      return json::parse(line);
+      return parse_json<json>(line);
     } catch (const json::out_of_range&) {  // 1e999
       finite = false;
-    } catch (const json::parse_error&) {  // NaN and Infinity are not JSON, but many programs write them
+    } catch (const json::exception&) {  // NaN and Infinity are not JSON, but many programs write them
       finite = line.find("NaN") == std::string::npos && line.find("Infinity") == std::string::npos;
     }
     if (!finite) fail("answered " + asked + " with a number that is not finite");

@@ -1,8 +1,10 @@
 #include "session/session_file.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "sdk/json_text.hpp"
 #include "session/search_end.hpp"
 #include "session/session.hpp"
 #include "weft/hdf5_file.hpp"
@@ -70,9 +72,36 @@ class Reader {
   Hdf5File file_;
 };
 
+/// Checks what pages and exports take from the texts.
+void check_texts(const Reader& in, const SessionRecord& record) {
+  using nlohmann::ordered_json;
+  for (const auto& [path, text] :
+       {std::pair("/summary", &record.summary), std::pair("/provenance", &record.provenance)})
+    if (!parse_json_if_valid(*text).is_object()) in.fail(path, "must be a JSON object");
+  const auto summary = parse_json_if_valid(record.summary);
+  for (const char* key : {"plan_seconds", "estimate_seconds", "predicted_error_mm"}) {
+    const ordered_json list = summary.value(key, ordered_json::array());
+    const auto is_number = [](const ordered_json& value) { return value.is_number() || value.is_null(); };
+    if (!list.is_array() || !std::all_of(list.begin(), list.end(), is_number))
+      in.fail("/summary", std::string(key) + " must be a list of numbers");
+  }
+  if (record.trajectory.empty()) return;
+  const auto trajectory = parse_json_if_valid(record.trajectory);
+  for (const char* kind : {"controls", "state"}) {
+    const ordered_json list = trajectory.is_object() ? trajectory.value(kind, ordered_json()) : ordered_json();
+    const auto is_variable = [](const ordered_json& one) {
+      return one.is_object() && one.contains("name") && one["name"].is_string() && one.contains("unit") &&
+             one["unit"].is_string();
+    };
+    if (!list.is_array() || !std::all_of(list.begin(), list.end(), is_variable))
+      in.fail("/trajectory", "must have " + std::string(kind) + ": [{name, unit}]");
+  }
+}
+
 RoundRecord read_round(const Reader& in, const std::string& group, Index vertices, Index hands) {
   RoundRecord round;
   round.controls = in.matrix(group + "/controls");
+  if (round.controls.rows() == 0 || round.controls.cols() == 0) in.fail(group + "/controls", "holds no segment");
   round.state = in.vector(group + "/state");
   round.knowledge.centre = in.vector(group + "/knowledge_centre", 4);
   round.knowledge.width = in.vector(group + "/knowledge_width", 4);
@@ -291,6 +320,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   record.provenance = in.text("/provenance");
   record.summary = in.text("/summary");
   record.trajectory = in.optional_text("/trajectory");
+  check_texts(in, record);
   record.garment_name = in.text("/garment/name");
   const Index vertices = in.matrix("/start", 3).rows();
   record.rest = in.matrix("/garment/rest", 2);
@@ -318,6 +348,9 @@ SessionRecord read_session(const std::filesystem::path& path) {
   if (in.has("/rounds")) {
     for (const auto& name : in.list("/rounds")) {
       record.rounds.push_back(read_round(in, "/rounds/" + name, vertices, held.size()));
+      const auto &first = record.rounds.front(), &last = record.rounds.back();
+      if (last.controls.cols() != first.controls.cols() || last.state.size() != first.state.size())
+        in.fail("/rounds/" + name, "has other controls or another state than the first round");
     }
   }
   if (in.has("/estimates")) {

@@ -485,5 +485,24 @@ TEST(Config, CopiesDoNotChangeTheOriginal) {
   EXPECT_FALSE(fold.without("pins").has("pins"));
 }
 
+TEST(Config, RefusesTextThatTakesFarMoreMemoryThanItself) {
+  std::string repeated = "a: &a " + std::string(1'000'000, 'x') + "\nb: [";
+  for (int i = 0; i < 100; ++i) repeated += "*a, ";
+  EXPECT_THAT(parse_refusal(repeated + "*a]\n"), HasSubstr("holds more than 64 MB of text"));
+  std::string below = std::string(100'000, 'k') + ": [";
+  for (int i = 0; i < 1000; ++i) below += "1, ";
+  EXPECT_THAT(parse_refusal(below + "1]\n"), HasSubstr("holds more than 64 MB of text"));
+  std::string many = "[1";
+  for (int i = 0; i < 500'000; ++i) many += ",1";
+  EXPECT_THAT(parse_refusal(many + "]"), HasSubstr("holds more than 200000 values"));
+  EXPECT_THAT(parse_refusal(std::string(500'000, '[')), HasSubstr("holds more than 200000 brackets"));
+}
+
+TEST(Config, RefusesPathsThatAreTooDeep) {
+  std::string path = "a";
+  for (int i = 0; i < 100'000; ++i) path += ".a";
+  EXPECT_THAT(refusal([&] { parse("a: 1").with(path, ConfigNode::integer(1)); }), HasSubstr("more than 64 levels"));
+}
+
 }  // namespace
 }  // namespace weft

@@ -198,5 +198,22 @@ TEST(Identity, AFolderKeepsItsNumericVariant) {
                                       HasSubstr("this machine cannot run; it has narrow, wide")));
 }
 
+TEST(Identity, ADeviceIsNoFile) {
+  EXPECT_THAT(message_of<ConfigError>([] { sha256_of_file("/dev/null"); }), HasSubstr("is not a file"));
+}
+
+TEST(Identity, DocumentsOfOtherTypesAreRefused) {
+  const std::string head = R"({"schema": "weft identity 1", "weft": "1", "config": )";
+  EXPECT_NO_THROW(
+      Identity::from_json(head + R"({"command": "run"}, "plugins": {"a/b": {"version": "1", "sha256": "0"}}})"));
+  for (const char* rest :
+       {R"([], "plugins": {}})", R"({"command": 1}, "plugins": {}})", R"({}, "plugins": []})",
+        R"({}, "plugins": {"a/b": {"version": 1, "sha256": "0"}}})", R"({}, "plugins": {"a/b": 1}})"})
+    EXPECT_THAT(message_of<ConfigError>([&] { Identity::from_json(head + rest); }), HasSubstr("is not an identity"));
+  const std::string deep = std::string(100'000, '[') + std::string(100'000, ']');
+  EXPECT_THAT(message_of<ConfigError>([&] { Identity::from_json(head + deep + R"(, "plugins": {}})"); }),
+              HasSubstr("nested deeper than 100 levels"));
+}
+
 }  // namespace
 }  // namespace weft::test

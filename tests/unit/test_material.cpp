@@ -289,5 +289,13 @@ TEST(ShippedFabrics, AllLoadAndNameTheirSource) {
   EXPECT_GE(count, 8);
 }
 
+TEST(Fabric, JsonThatIsNestedTooDeepIsRefused) {
+  const test::Folder folder;
+  const std::string deep = std::string(100'000, '[') + std::string(100'000, ']');
+  folder.write("m.json", "{\"density\": 1, // \" in a comment\n \"stretching\": [[" + deep + "]]}");
+  EXPECT_THAT(message_of<ConfigError>([&] { read_fabric(ConfigNode::quoted((folder / "m.json").string())); }),
+              HasSubstr("nested deeper than 100 levels"));
+}
+
 }  // namespace
 }  // namespace weft

@@ -180,8 +180,9 @@ class ModelReader {
     m_.calibrated = origins("/calibration_datasets");
     m_.provenance = file_.read_text("/provenance");
     m_.training = file_.read_text("/training");
-    const std::string wanted = schema == kSchema1 ? checksum_1(m_) : checksum(m_, architecture);
-    if (wanted != file_.read_text("/checksum")) refuse("is damaged: its content does not match the recorded checksum");
+    const std::string got = schema == kSchema1 ? checksum_1(m_) : checksum(m_, architecture);
+    if (const auto recorded = file_.read_text("/checksum"); got != recorded)
+      refuse("is damaged: its content has the checksum " + got + ", not the recorded checksum " + recorded);
     return std::move(m_);
   }
 
@@ -214,10 +215,10 @@ class ModelReader {
     if (layout.size > (1u << 28)) {
       refuse("describes a network of " + std::to_string(layout.size) + " weights, too large");
     }
-    m_.weights.resize(layout.size);
+    // In the order of their offsets. The vector grows as the file holds the data, not as it says.
     for (const auto& w : layout.weights) {
       const auto values = floats("/weights/" + w.name, {w.rows, w.columns});
-      std::copy(values.begin(), values.end(), m_.weights.data() + w.offset);
+      m_.weights.insert(m_.weights.end(), values.begin(), values.end());
     }
   }
 

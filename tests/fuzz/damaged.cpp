@@ -1,0 +1,107 @@
+// Files with damaged bytes, which libhdf5 reads in a child process: its crashes are not weft's (docs/trust.md).
+#include <cstdlib>
+#include <fstream>
+#include <iterator>
+#include <sstream>
+
+#include "fuzz.hpp"
+#include "processes/child_process.hpp"
+
+namespace weft::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Kind {
+  const char* name;
+  void (*make)(const fs::path&);
+};
+constexpr Kind kKinds[] = {{"session", make_session}, {"dataset", make_dataset}, {"model", make_model}};
+
+std::string bytes_of(const fs::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+/// A process that opens the files that it is told: this program's neighbour (replay.cpp).
+std::unique_ptr<ChildProcess> start_reader() {
+  ChildOptions options;
+  options.command = {(fs::read_symlink("/proc/self/exe").parent_path() / "weft_fuzz_inputs").string(), "--serve"};
+  options.environment = {{"ASAN_OPTIONS", "detect_leaks=0:max_allocation_size_mb=256:handle_abort=1"}};
+  options.own_group = true;
+  options.keep_errors = true;
+  return std::make_unique<ChildProcess>(options);
+}
+
+/// Whether a sanitizer's report begins in libhdf5: a frame of it comes before any of weft.
+bool is_of_libhdf5(const std::string& report) {
+  std::istringstream lines(report);
+  for (std::string line; std::getline(lines, line);) {
+    if (line.find("    #") == std::string::npos) continue;
+    if (line.find("libhdf5") != std::string::npos) return true;
+    if (line.find("weft") != std::string::npos) return false;
+  }
+  return false;
+}
+
+/// Notes a crash of libhdf5 for whoever counts them.
+void note(const std::string& text) {
+  if (const char* file = std::getenv("WEFT_FUZZ_LIBHDF5")) std::ofstream(file, std::ios::app) << text << "\n";
+}
+
+}  // namespace
+
+/// The first byte chooses a valid file, and the others damage it in places of four bytes: place, place, how, value.
+/// Or they are the file.
+void damaged(std::string_view bytes) {
+  static std::string valid[std::size(kKinds)];
+  if (valid[0].empty()) {
+    for (std::size_t k = 0; k < std::size(kKinds); ++k) {
+      kKinds[k].make(world().file("valid.h5"));
+      valid[k] = bytes_of(world().file("valid.h5"));
+    }
+  }
+  const unsigned choice = bytes.empty() ? 0 : static_cast<unsigned char>(bytes[0]);
+  const std::size_t kind = choice % std::size(kKinds);
+  if (!bytes.empty()) bytes.remove_prefix(1);
+  std::string content(bytes);
+  if (choice < 250) {
+    content = valid[kind];
+    for (; bytes.size() >= 4; bytes.remove_prefix(4)) {
+      const auto byte = [&](int i) { return static_cast<unsigned char>(bytes[static_cast<std::size_t>(i)]); };
+      const std::size_t at = static_cast<std::size_t>(byte(0) * 256 + byte(1)) % content.size();
+      switch (byte(2) % 4) {
+        case 0:
+          content[at] = static_cast<char>(byte(3));
+          break;
+        case 1:
+          content[at] = static_cast<char>(content[at] ^ (1 << byte(3) % 8));
+          break;
+        case 2:
+          content.replace(at, 4, 4, static_cast<char>(byte(3)));
+          break;
+        default:
+          content[at] = static_cast<char>(content[at] + byte(3));
+      }
+    }
+    if (bytes.size() == 1) content.resize(content.size() * static_cast<unsigned char>(bytes[0]) / 256);
+  }
+  static std::unique_ptr<ChildProcess> reader;
+  if (!reader) reader = start_reader();
+  const fs::path file = world().write(kind == 1 ? "shard-00000.h5" : "damaged.h5", content);
+  std::string answer;
+  const auto deadline = seconds_from_now(20);
+  reader->write(std::string(kKinds[kind].name) + " " + file.string() + "\n", deadline);
+  const auto outcome = reader->read_line(answer, deadline);
+  if (outcome == ChildProcess::Outcome::done) return;
+  const bool hangs = outcome == ChildProcess::Outcome::late;
+  if (hangs) reader->kill(6);
+  const auto end = reader->wait_until(seconds_from_now(10));
+  const std::string report = reader->errors();
+  reader.reset();
+  const std::string what = hangs ? "hangs" : end ? end->text() : "does not end";
+  if (is_of_libhdf5(report)) return note("== " + std::string(kKinds[kind].name) + " " + what + "\n" + report);
+  finding("opening a damaged " + std::string(kKinds[kind].name) + " " + what + "\n" + report);
+}
+
+}  // namespace weft::fuzz
