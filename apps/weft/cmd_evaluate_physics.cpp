@@ -6,12 +6,14 @@
 
 #include "commands.hpp"
 #include "experiments/csv.hpp"
+#include "experiments/evaluation_work.hpp"
 #include "experiments/physics/suite.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
+#include "work_options.hpp"
 
 namespace weft::app {
 namespace {
@@ -47,7 +49,7 @@ std::string to_csv(const std::vector<PhysicsRow>& rows) {
   return csv;
 }
 
-int evaluate(Context& context, const std::string& file) {
+int evaluate(Context& context, const std::string& file, const WorkOptions& work) {
   const Prepared<PhysicsExperimentParams> given(context, file);
   const auto task = std::make_shared<const Task>(given.task);
   const auto cases = physics_cases(given.params.physics, task, given.config);
@@ -56,21 +58,25 @@ int evaluate(Context& context, const std::string& file) {
   const Identity identity = given.identity("evaluate physics");
   require_unmixed(context, out, identity);
 
-  std::vector<SimulatorVariant> variants{simulator_variant("default", *given.host, task->simulator)};
-  if (!given.params.finer.is_null()) variants.push_back(simulator_variant("finer", *given.host, given.params.finer));
-  std::vector<SimulatorVariant> pair{variants.front()};
-  if (!given.params.other.is_null()) pair.push_back(simulator_variant("other", *given.host, given.params.other));
-  std::vector<std::vector<PhysicsRow>> results(cases.size());
-  std::mutex printing;
-  given.host->parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {
-    if (given.host->cancelled()) return;
-    results[i] = run_physics_case(cases[i], cases[i].test == "paired folds" ? pair : variants);
-    const std::lock_guard lock(printing);
-    for (const auto& row : results[i]) context.say(format_physics_row(row));
-  });
-  if (given.host->cancelled()) throw Error("interrupted");
+  const auto say = [&](const std::vector<PhysicsRow>& some) {
+    for (const auto& row : some) context.say(format_physics_row(row));
+  };
   std::vector<PhysicsRow> rows;
-  for (auto& some : results) std::move(some.begin(), some.end(), std::back_inserter(rows));
+  if (work.in_process) {
+    std::vector<std::vector<PhysicsRow>> results(cases.size());
+    std::mutex printing;
+    given.host->parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {
+      if (given.host->cancelled()) return;
+      results[i] = run_physics_case_of(given.params, cases[i], *task, *given.host);
+      const std::lock_guard lock(printing);
+      say(results[i]);
+    });
+    for (auto& some : results) std::move(some.begin(), some.end(), std::back_inserter(rows));
+  } else {
+    const EvaluationWorkers workers{work.worker(), work.cell_limit_s, [&] { return given.host->cancelled(); }};
+    rows = run_physics_cases(workers, given.config, cases, *given.registry, *given.host, say);
+  }
+  if (given.host->cancelled()) throw Error("interrupted");
 
   make_writable_folder(out);
   write_garment(given.task, out);
@@ -95,7 +101,10 @@ void register_evaluate_physics(CLI::App& app, Context& context) {
   add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/physics.yaml")->required();
-  command->callback([&context, file] { context.action = [&context, file] { return evaluate(context, *file); }; });
+  auto work = std::make_shared<WorkOptions>();
+  add_process_options(*command, "case", *work);
+  command->callback(
+      [&context, file, work] { context.action = [&context, file, work] { return evaluate(context, *file, *work); }; });
 }
 
 }  // namespace weft::app

@@ -2,12 +2,14 @@
 #include <cstdio>
 
 #include "commands.hpp"
+#include "experiments/evaluation_work.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/prediction_evaluation.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
 #include "weft/config.hpp"
+#include "work_options.hpp"
 
 namespace weft::app {
 namespace {
@@ -51,7 +53,20 @@ void say_calibration(const Context& context, const PredictionEvaluation& result)
   rows("without knowledge", result.by_step_no_knowledge);
 }
 
-int evaluate(Context& context, const std::string& file, std::vector<std::string> folders) {
+/// What became of the batches. @return the command's exit code.
+int say_failures(const Context& context, const Prepared<ExperimentParams>& given, const PredictionEvaluation& result) {
+  if (result.failed > 0)
+    given.host->log(LogLevel::warning, std::to_string(result.failed) + " cases could not be predicted");
+  if (result.shortened > 0)
+    given.host->log(LogLevel::warning, std::to_string(result.shortened) +
+                                           " cases are longer than the predictor's max_segments(): they count by step "
+                                           "up to there, and not as settled shapes");
+  for (const auto& [failure, cases] : result.failures)
+    context.complain(std::to_string(cases) + " cases " + to_string(failure.status) + ": " + failure.message);
+  return result.failures.empty() ? 0 : 1;
+}
+
+int evaluate(Context& context, const std::string& file, std::vector<std::string> folders, const WorkOptions& work) {
   const Prepared<ExperimentParams> given(context, file);
   const auto predictor = bound_predictor(place(given.config, "predictor"), given.task, *given.host);
   if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
@@ -65,8 +80,13 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
   const Identity identity = given.identity("evaluate prediction", keep, {}, {folders.begin(), folders.end()});
   require_unmixed(context, out, identity);
 
+  const EvaluationWorkers workers{work.worker(), work.cell_limit_s, [&] { return given.host->cancelled(); }};
+  PredictBatch predict;  // empty: in this process
+  if (!work.in_process)
+    predict = predict_in_child(workers, given.config, dataset, folders, *given.registry, *given.host);
   const PredictionEvaluation result =
-      evaluate_prediction(*predictor, given.task, dataset, given.params.evaluation, given.seed, *given.host);
+      evaluate_prediction(*predictor, given.task, dataset, given.params.evaluation, given.seed, *given.host, predict);
+  if (given.host->cancelled()) throw Error("interrupted");
   const std::string json = prediction_evaluation_json(result), times = prediction_times_json(result);
   make_writable_folder(out);
   write_garment(given.task, out);
@@ -92,15 +112,10 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
     context.say(line);
   }
   say_calibration(context, result);
-  if (result.failed > 0)
-    given.host->log(LogLevel::warning, std::to_string(result.failed) + " cases could not be predicted");
-  if (result.shortened > 0)
-    given.host->log(LogLevel::warning, std::to_string(result.shortened) +
-                                           " cases are longer than the predictor's max_segments(): they count by step "
-                                           "up to there, and not as settled shapes");
+  const int code = say_failures(context, given, result);
   write_page(context, out);
   context.say("results in " + out.string());
-  return 0;
+  return code;
 }
 
 }  // namespace
@@ -113,8 +128,11 @@ void register_evaluate_prediction(CLI::App& app, Context& context) {
   auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
   command->add_option("--data", *data, "Folders of examples");
-  command->callback(
-      [&context, file, data] { context.action = [&context, file, data] { return evaluate(context, *file, *data); }; });
+  auto work = std::make_shared<WorkOptions>();
+  add_process_options(*command, "batch", *work);
+  command->callback([&context, file, data, work] {
+    context.action = [&context, file, data, work] { return evaluate(context, *file, *data, *work); };
+  });
 }
 
 }  // namespace weft::app

@@ -5,6 +5,7 @@
 
 #include "commands.hpp"
 #include "experiments/cell_work.hpp"
+#include "experiments/evaluation_work.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/example_bytes.hpp"
 #include "loader/program_host.hpp"
@@ -61,10 +62,13 @@ int work() {
   install_crash_report(kCrashReportFile, write_where);
   CellServer cells(&cancelled);
   ExampleServer examples;
+  EvaluationServer evaluations(&cancelled);
   serve_work(
       [&](const std::string& text) {
         const auto request = nlohmann::ordered_json::parse(text);
-        return request.at("kind") == "example" ? examples.answer(request) : cells.answer(text);
+        const auto kind = request.at("kind").get<std::string>();
+        if (EvaluationServer::knows(kind)) return evaluations.answer(text);
+        return kind == "example" ? examples.answer(request) : cells.answer(text);
       },
       cancelled);
   return 0;

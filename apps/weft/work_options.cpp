@@ -45,10 +45,15 @@ void add_work_options(CLI::App& command, const std::string& unit, WorkOptions& o
                     "diverged")
       ->check(CLI::IsMember({"accidents", "all"}));
   command.add_flag("--fail-fast", options.fail_fast, "Stop after the first " + unit + " that fails");
+  add_process_options(command, unit, options);
+}
+
+void add_process_options(CLI::App& command, const std::string& unit, WorkOptions& options) {
   command
-      .add_option("--cell-limit", options.cell_limit_s,
-                  "CPU seconds after which one " + unit +
-                      " counts as hung; default: 20 times the slowest that has ended, and at least 600")
+      .add_option(
+          "--cell-limit", options.cell_limit_s,
+          "CPU seconds after which one " + unit +
+              " counts as hung; default: 20 times the slowest that has ended, and at least 600; a day while none has")
       ->check(within(0.0, 1e9))
       ->type_name("S");
   command.add_flag("--in-process", options.in_process,

@@ -23,6 +23,8 @@ struct WorkOptions {
 };
 /// @param unit "cell" or "example".
 void add_work_options(CLI::App& command, const std::string& unit, WorkOptions& options);
+/// Those of them that say how child processes work, for commands that keep no rows. @param unit "case" or "batch".
+void add_process_options(CLI::App& command, const std::string& unit, WorkOptions& options);
 
 /// "crashed: SIGSEGV in plugin ...".
 std::string failure_text(const SweepRow& row);

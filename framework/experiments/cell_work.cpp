@@ -10,6 +10,7 @@
 #include "experiments/planning_evaluation.hpp"
 #include "learning/dataset_files.hpp"
 #include "loader/program_host.hpp"
+#include "sdk/files.hpp"
 #include "sdk/located_config.hpp"
 #include "weft/config.hpp"
 
@@ -18,6 +19,8 @@ namespace {
 
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
+
+constexpr const char* kUnwritten = "unwritten";  // in the place of a status: see WriteError
 
 constexpr auto kReplace = ordered_json::error_handler_t::replace;
 
@@ -103,30 +106,25 @@ std::string cell_request(const CellWork& work, const ConfigNode& cell, const Plu
 }
 
 void read_cell_end(const WorkEnd& end, SweepRow& row) {
-  row.failure = end.text;
-  switch (end.kind) {
-    case WorkEnd::Kind::crashed:
-      row.status = WorkStatus::crashed;
-      return;
-    case WorkEnd::Kind::hung:
-      row.status = WorkStatus::hung;
-      return;
-    case WorkEnd::Kind::lost:
-    case WorkEnd::Kind::cancelled:
-      row.status = WorkStatus::lost;
-      return;
-    case WorkEnd::Kind::answered:
-      break;
+  if (end.kind != WorkEnd::Kind::answered) {
+    const WorkFailure failure = failure_of(end);
+    row.status = failure.status;
+    row.failure = failure.message;
+    return;
   }
   try {
     const auto json = ordered_json::parse(end.text);
-    row.status = work_status_named(json.at("status").get<std::string>());
     row.failure = json.at("failure").get<std::string>();
+    const auto status = json.at("status").get<std::string>();
+    if (status == kUnwritten) throw WriteError(row.failure);
+    row.status = work_status_named(status);
     if (row.status != WorkStatus::done) return;
     row.outcome.metrics = read_exact_numbers(json.at("metrics"));
     row.outcome.times = read_exact_numbers(json.at("times"));
     row.outcome.paired_by = json.at("paired_by").get<std::string>();
     row.outcome.payload = {json.at("schema").get<std::string>(), json.at("payload").get<std::string>()};
+  } catch (const WriteError&) {
+    throw;
   } catch (const std::exception& error) {
     row.status = WorkStatus::crashed;
     row.failure = std::string("its process answered with nonsense: ") + error.what();
@@ -141,6 +139,8 @@ std::string CellServer::answer(const std::string& text) {
     const ConfigNode cell = read_located_json(request.at("config").get<std::string>());
     const auto host = make_cell_host(registry_of_request(request.at("plugin_path").get<std::string>()), cell, cancel_);
     outcome = run_cell(request, cell, *host);
+  } catch (const WriteError& error) {
+    return ordered_json{{"status", kUnwritten}, {"failure", error.what()}}.dump(-1, ' ', true, kReplace);
   } catch (...) {
     failure = current_failure();
   }

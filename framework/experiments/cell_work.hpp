@@ -27,6 +27,7 @@ std::string searched_folders(const PluginRegistry& registry);
 std::shared_ptr<const PluginRegistry> registry_of_request(const std::string& folders);
 
 /// Reads what a child answered, or how it ended, into a row's status, failure and outcome.
+/// @throws WriteError if the cell was run, but its shapes could not be written: that is not the cell's failure.
 void read_cell_end(const WorkEnd& end, SweepRow& row);
 
 /// Runs the cell of a request in this process.

@@ -20,10 +20,7 @@ using nlohmann::ordered_json;
 
 constexpr std::size_t kShownExamples = 50;  // with their shapes, on the page
 
-struct Start {
-  std::size_t example = 0;  // position in the dataset
-  Index segment = 0;
-};
+using Start = PredictionStart;
 std::vector<Start> first_starts(const std::vector<std::size_t>& examples) {
   std::vector<Start> starts;
   for (const std::size_t i : examples) starts.push_back({i, 0});
@@ -67,33 +64,55 @@ struct Tallies {
   std::vector<PredictionTally> by_step;
 };
 
-/// Compares the shapes that were predicted from a start with the recorded ones.
 /// @param from_start collects the example's error and the first shapes for the page; null: it does not.
-void add_prediction(Tallies& tallies, const Dataset& dataset, const Start& start,
-                    const std::vector<ShapeDistribution>& shapes, PredictionEvaluation* from_start) {
+void add_prediction(Tallies& tallies, const Dataset& dataset, const Start& start, const ScoredPrediction& prediction,
+                    PredictionEvaluation* from_start) {
   const auto& e = dataset.examples[start.example];
-  if (tallies.by_step.size() < shapes.size()) tallies.by_step.resize(shapes.size());
-  for (std::size_t j = 0; j < shapes.size(); ++j) {
-    const ShapeDistribution& shape = shapes[j];
+  const auto& steps = prediction.steps;
+  if (tallies.by_step.size() < steps.size()) tallies.by_step.resize(steps.size());
+  for (std::size_t j = 0; j < steps.size(); ++j) {
     const Index ahead = j + 1;
-    const Positions truth = dataset.shape(start.example, start.segment + ahead);
-    tallies.by_step[j].add(start.example, shape, truth, ahead);
+    tallies.by_step[j].add(start.example, steps[j], ahead);
     if (start.segment + ahead < e.segments() || !e.released) continue;
-    tallies.settled.add(start.example, shape, truth, ahead);
+    tallies.settled.add(start.example, steps[j], ahead);
     if (from_start == nullptr) continue;
-    from_start->examples.push_back(
-        {e.index, ahead, mean_distance_mm(shape.mean, truth), 1e3 * shape.sigma.rowwise().norm().mean()});
-    if (from_start->settled.size() < kShownExamples) {
-      from_start->settled.push_back(truth);
-      from_start->predicted.push_back(shape.mean);
+    from_start->examples.push_back({e.index, ahead, steps[j].error_mm, prediction.settled_sigma_mm});
+    if (prediction.settled.size() > 0 && from_start->settled.size() < kShownExamples) {
+      from_start->settled.push_back(dataset.shape(start.example, start.segment + ahead));
+      from_start->predicted.push_back(prediction.settled);
     }
   }
 }
 
 }  // namespace
 
+ScoredBatch predict_batch(const Predictor& predictor, const Dataset& dataset, const PredictionBatch& batch) {
+  std::vector<PredictionCase> cases;
+  for (const auto& start : batch.starts)
+    cases.push_back(case_from(dataset, start, batch.has_knowledge, predictor.max_segments()));
+  ScoredBatch result;
+  const auto started = std::chrono::steady_clock::now();
+  const auto prediction = predictor.predict(cases, {.moments = Moments::mean_and_sigma});
+  result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+  for (std::size_t b = 0; b < batch.starts.size(); ++b) {
+    ScoredPrediction& scored = result.cases.emplace_back();
+    scored.failure = prediction->failure(b);
+    if (!scored.failure.empty()) continue;
+    const auto& shapes = prediction->shapes()[b];
+    const Start& start = batch.starts[b];
+    for (std::size_t j = 0; j < shapes.size(); ++j)
+      scored.steps.push_back(score_of(shapes[j], dataset.shape(start.example, start.segment + j + 1)));
+    if (shapes.empty()) continue;
+    scored.settled_sigma_mm = 1e3 * shapes.back().sigma.rowwise().norm().mean();
+    if (batch.wants_shapes) scored.settled = shapes.back().mean;
+  }
+  return result;
+}
+
 PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
-                                         const PredictionEvaluationParams& params, std::uint64_t seed, Host& host) {
+                                         const PredictionEvaluationParams& params, std::uint64_t seed, Host& host,
+                                         PredictBatch predict) {
+  if (!predict) predict = [&](const PredictionBatch& batch) { return predict_batch(predictor, dataset, batch); };
   const auto split = split_or_all(params.split);
   std::vector<std::size_t> chosen = dataset.select(split);
   if (params.max_examples > 0 && std::cmp_less(params.max_examples, chosen.size())) chosen.resize(params.max_examples);
@@ -115,19 +134,25 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
         way.from_random ? random_starts(dataset, chosen, params.random_starts, seed) : first_starts(chosen);
     for (std::size_t first = 0; first < starts.size() && !host.cancelled(); first += params.batch) {
       const std::size_t count = std::min<std::size_t>(params.batch, starts.size() - first);
-      std::vector<PredictionCase> cases;
+      const bool from_start = way.settled == &result.from_start;
+      const auto begin = starts.begin() + static_cast<std::ptrdiff_t>(first);
+      const PredictionBatch batch{{begin, begin + static_cast<std::ptrdiff_t>(count)},
+                                  way.has_knowledge,
+                                  from_start && result.settled.size() < kShownExamples};
+      const ScoredBatch scored = predict(batch);
+      if (host.cancelled()) break;
+      result.seconds += scored.seconds;
+      if (scored.failure.status != WorkStatus::done) {
+        result.failed += static_cast<Index>(count);
+        result.failures.push_back({scored.failure, count});
+        continue;
+      }
       for (std::size_t b = 0; b < count; ++b) {
         const Start& start = starts[first + b];
-        cases.push_back(case_from(dataset, start, way.has_knowledge, predictor.max_segments()));
-        result.shortened += cases.back().controls.rows() < dataset.examples[start.example].segments() - start.segment;
-      }
-      const auto started = std::chrono::steady_clock::now();
-      const auto prediction = predictor.predict(cases, {.moments = Moments::mean_and_sigma});
-      result.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
-      const bool from_start = way.settled == &result.from_start;
-      for (std::size_t b = 0; b < count; ++b) {
-        if (prediction->failure(b).empty())
-          add_prediction(tallies, dataset, starts[first + b], prediction->shapes()[b], from_start ? &result : nullptr);
+        const Index left = dataset.examples[start.example].segments() - start.segment;
+        result.shortened += predictor.max_segments().value_or(left) < left;
+        if (scored.cases[b].failure.empty())
+          add_prediction(tallies, dataset, start, scored.cases[b], from_start ? &result : nullptr);
         else
           ++result.failed;
       }
@@ -186,6 +211,12 @@ std::string prediction_evaluation_json(const PredictionEvaluation& r) {
     json["cases"].push_back(
         {{"example", e.index}, {"segments", e.segments}, {"error_mm", e.error_mm}, {"sigma_mm", e.sigma_mm}});
   json["failed"] = r.failed;
+  if (!r.failures.empty()) {
+    json["failures"] = ordered_json::array();
+    for (const auto& [failure, cases] : r.failures)
+      json["failures"].push_back(
+          {{"status", to_string(failure.status)}, {"failure", failure.message}, {"cases", cases}});
+  }
   json["shortened"] = r.shortened;
   return json.dump(2) + "\n";
 }

@@ -1,9 +1,11 @@
 #pragma once
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
 
 #include "experiments/prediction_figures.hpp"
+#include "processes/work_status.hpp"
 #include "weft/dataset.hpp"
 #include "weft/host.hpp"
 #include "weft/params.hpp"
@@ -44,11 +46,45 @@ struct PredictedExample {
   double sigma_mm = 0.0;
 };
 
+/// Where a prediction begins.
+struct PredictionStart {
+  std::size_t example = 0;  ///< position in the dataset
+  Index segment = 0;
+};
+/// The prediction of the rest of an example, compared with the recorded shapes.
+struct ScoredPrediction {
+  std::string failure;                 ///< why there is none; empty: there is one
+  std::vector<PredictionScore> steps;  ///< after 1, 2, ... segments
+  double settled_sigma_mm = 0.0;       ///< of the last shape, see PredictedExample::sigma_mm
+  Positions settled;                   ///< mean of the last shape; empty unless it was asked for
+};
+struct ScoredBatch {
+  std::vector<ScoredPrediction> cases;  ///< one per start; empty: the process that predicted them failed
+  double seconds = 0.0;                 ///< inside predict()
+  WorkFailure failure = {WorkStatus::done, ""};
+};
+struct PredictionBatch {
+  std::vector<PredictionStart> starts;
+  bool has_knowledge = false;
+  bool wants_shapes = false;  ///< ScoredPrediction::settled
+};
+/// Predicts a batch: in this process, or in another one.
+using PredictBatch = std::function<ScoredBatch(const PredictionBatch& batch)>;
+/// The first. @param dataset whose examples the starts name.
+ScoredBatch predict_batch(const Predictor& predictor, const Dataset& dataset, const PredictionBatch& batch);
+
+/// A batch whose process crashed or hung.
+struct FailedBatch {
+  WorkFailure failure;
+  std::size_t cases = 0;
+};
+
 struct PredictionEvaluation {
   PredictionFigures from_start, from_random, no_knowledge;  ///< the settled shape
   std::vector<PredictionFigures> by_step, by_step_from_random, by_step_no_knowledge;
   std::map<std::string, PredictionFigures> baselines;  ///< settled shape; only n, mean_mm and median_mm
   Index failed = 0;                                    ///< cases without a prediction
+  std::vector<FailedBatch> failures;                   ///< among them, those whose process failed
   Index shortened = 0;   ///< cases longer than the predictor's max_segments(), so not predicted to their end
   double seconds = 0.0;  ///< inside predict()
   std::vector<PredictedExample> examples;     ///< those in from_start
@@ -56,9 +92,11 @@ struct PredictionEvaluation {
 };
 
 /// Measures a bound predictor on a split of a dataset. The figures include the paper's accuracy claims for its network.
+/// @param predict predicts the batches; empty: this process does. A batch whose process fails costs its cases.
 /// @throws ConfigError if the split is empty.
 PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task& task, const Dataset& dataset,
-                                         const PredictionEvaluationParams& params, std::uint64_t seed, Host& host);
+                                         const PredictionEvaluationParams& params, std::uint64_t seed, Host& host,
+                                         PredictBatch predict = {});
 /// prediction.json (docs/file-formats.md).
 std::string prediction_evaluation_json(const PredictionEvaluation& result);
 /// Its times, for times.json.

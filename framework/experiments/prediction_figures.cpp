@@ -11,9 +11,7 @@
 
 namespace weft {
 
-void PredictionTally::add(std::size_t example, const ShapeDistribution& predicted, const Positions& truth,
-                          Index ahead) {
-  add(example, predicted.mean, truth, ahead);
+PredictionScore score_of(const ShapeDistribution& predicted, const Positions& truth) {
   double likelihood = 0.0, within = 0.0, squares = 0.0, sigmas = 0.0;
   for (Index i = 0; i < truth.size(); ++i) {
     const double s = predicted.sigma.data()[i] * 1e3;
@@ -24,10 +22,18 @@ void PredictionTally::add(std::size_t example, const ShapeDistribution& predicte
     sigmas += s;
   }
   const auto coordinates = static_cast<double>(truth.size());
-  nll_ += likelihood / coordinates;
-  sigma_ += sigmas / coordinates;
-  inside_.push_back(within / coordinates);
-  square_.push_back(squares / coordinates);
+  return {mean_distance_mm(predicted.mean, truth), likelihood / coordinates, within / coordinates,
+          squares / coordinates, sigmas / coordinates};
+}
+
+void PredictionTally::add(std::size_t example, const PredictionScore& score, Index ahead) {
+  steps_ += static_cast<double>(ahead);
+  errors_.push_back(score.error_mm);
+  examples_.push_back(example);
+  nll_ += score.nll;
+  sigma_ += score.sigma_mm;
+  inside_.push_back(score.inside);
+  square_.push_back(score.square);
 }
 
 void PredictionTally::add(std::size_t example, const Positions& predicted, const Positions& truth, Index ahead) {

@@ -21,11 +21,21 @@ struct PredictionFigures {
   double mean_mm_se = 0.0, coverage_1sigma_se = 0.0, nse_se = 0.0;
 };
 
+/// One predicted shape compared with the true one. Means are over its coordinates.
+struct PredictionScore {
+  double error_mm = 0.0;  ///< mean vertex distance
+  double nll = 0.0;       ///< mean of -log density, lengths in mm
+  double inside = 0.0;    ///< share within one sigma
+  double square = 0.0;    ///< mean of (error / sigma)^2
+  double sigma_mm = 0.0;  ///< mean sigma
+};
+PredictionScore score_of(const ShapeDistribution& predicted, const Positions& truth);
+
 /// Collects the cases of one row of figures.
 class PredictionTally {
  public:
   /// @param example of the case. @param ahead number of predicted segments.
-  void add(std::size_t example, const ShapeDistribution& predicted, const Positions& truth, Index ahead);
+  void add(std::size_t example, const PredictionScore& score, Index ahead);
   /// The same for a prediction without sigma.
   void add(std::size_t example, const Positions& predicted, const Positions& truth, Index ahead);
   PredictionFigures figures() const;

@@ -134,6 +134,8 @@ class Sweep {
     try {
       const auto host = make_cell_host(options_.registry, cell.config, options_.cancel);
       row.outcome = options_.runner(cell.config, *host);
+    } catch (const WriteError&) {
+      throw;  // not the cell's failure
     } catch (...) {
       const WorkFailure failure = current_failure();
       row.status = failure.status;

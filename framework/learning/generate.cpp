@@ -346,31 +346,21 @@ class Production {
 
   /// @return nothing if the user asked to stop.
   std::optional<Example> make_in(WorkerProcess& child, std::int64_t index) {
-    const auto fail = [&](WorkStatus status, const std::string& text) {
-      return failed_example(header_.seed, index, static_cast<Index>(header_.control_names.size()), {status, text});
+    const auto fail = [&](const WorkFailure& failure) {
+      return failed_example(header_.seed, index, static_cast<Index>(header_.control_names.size()), failure);
     };
     const WorkEnd end = child.run(
         options_.request(index), [&] { return slowest_.limits(); }, [&] { return over(); });
-    switch (end.kind) {
-      case WorkEnd::Kind::cancelled:
-        return std::nullopt;
-      case WorkEnd::Kind::crashed:
-        return fail(WorkStatus::crashed, end.text);
-      case WorkEnd::Kind::hung:
-        return fail(WorkStatus::hung, end.text);
-      case WorkEnd::Kind::lost:
-        return fail(WorkStatus::lost, end.text);
-      case WorkEnd::Kind::answered:
-        break;
-    }
+    if (end.kind == WorkEnd::Kind::cancelled) return std::nullopt;
+    if (end.kind != WorkEnd::Kind::answered) return fail(failure_of(end));
     slowest_.add(end.cpu_seconds);
-    if (end.text.starts_with(kNoExample)) return fail(WorkStatus::refused, end.text.substr(kNoExample.size()));
+    if (end.text.starts_with(kNoExample)) return fail({WorkStatus::refused, end.text.substr(kNoExample.size())});
     try {
       Example example = example_from_hex(end.text);
       if (example.index == index) return example;
     } catch (const ConfigError&) {  // reported below
     }
-    return fail(WorkStatus::crashed, "its process answered with nonsense: " + end.text.substr(0, 200));
+    return fail({WorkStatus::crashed, "its process answered with nonsense: " + end.text.substr(0, 200)});
   }
 
   void finish(const Job& job, Example example) {

@@ -11,6 +11,7 @@
 #include <set>
 #include <sstream>
 
+#include "loader/instructions.hpp"
 #include "loader/plugin_info.hpp"
 #include "loader/where.hpp"
 #include "processes/crash_report.hpp"
@@ -61,6 +62,10 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   };
   std::error_code ignored;
   if (!fs::exists(file, ignored)) refuse("no such file");
+  if (const std::string missing = missing_instructions(file); !missing.empty()) {
+    refuse("was compiled for instructions that this processor has not (" + missing +
+           "); use another machine, or build it without MARCH or -march");
+  }
   auto library = std::make_shared<Library>();
   library->entry.file = file;
   std::string detail;

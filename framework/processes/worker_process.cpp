@@ -90,12 +90,28 @@ struct WorkerProcess::State {
 
 WorkLimits work_limits(double cell_limit_s, double slowest) {
   constexpr double kTimesSlowest = 20.0, kLeast = 600.0;
+  constexpr double kDay = 86400.0;  // the longest units known, plans of stiff cloth in the simulator, take half of it
   WorkLimits limits;
   if (cell_limit_s > 0.0)
     limits.cpu_s = cell_limit_s;
-  else if (slowest > 0.0)
-    limits.cpu_s = std::max(kLeast, kTimesSlowest * slowest);
+  else
+    limits.cpu_s = slowest > 0.0 ? std::max(kLeast, kTimesSlowest * slowest) : kDay;
   return limits;
+}
+
+WorkFailure failure_of(const WorkEnd& end) {
+  switch (end.kind) {
+    case WorkEnd::Kind::crashed:
+      return {WorkStatus::crashed, end.text};
+    case WorkEnd::Kind::hung:
+      return {WorkStatus::hung, end.text};
+    case WorkEnd::Kind::lost:
+    case WorkEnd::Kind::cancelled:
+      return {WorkStatus::lost, end.text};
+    case WorkEnd::Kind::answered:
+      break;
+  }
+  return {WorkStatus::done, ""};
 }
 
 void SlowestUnit::add(double cpu_seconds) {

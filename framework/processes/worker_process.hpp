@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "processes/work_status.hpp"
+
 namespace weft {
 
 /// What a child of weft may take for one unit of work before it counts as hung.
@@ -17,7 +19,7 @@ struct WorkLimits {
 inline constexpr int kMostAttempts = 3;
 
 /// The limits of a unit among others. @param cell_limit_s from --cell-limit; 0: none was given.
-/// @param slowest CPU time of the slowest unit that has ended, s; 0: none has.
+/// @param slowest CPU time of the slowest unit that has ended, s; 0: none has, and a unit may take a day of CPU time.
 WorkLimits work_limits(double cell_limit_s, double slowest);
 
 /// The limits of units that are done by several threads. Thread-safe.
@@ -45,6 +47,9 @@ struct WorkEnd {
   std::string text;          ///< the answer, or what happened: signal, plugin, function
   double cpu_seconds = 0.0;  ///< that an answered unit used; 0 if it took less than a second
 };
+
+/// How and why a unit failed that was not answered: crashed, hung or lost; done if it was answered.
+WorkFailure failure_of(const WorkEnd& end);
 
 /// A child process of weft, started afresh and not forked, that does units of work one after the other. It is started
 /// by the first one, and again by the first one after it died. Use it from one thread, which must outlive it: the child

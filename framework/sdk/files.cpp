@@ -1,28 +1,79 @@
 #include "sdk/files.hpp"
 
 #include <dlfcn.h>
+#include <fcntl.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <charconv>
+#include <csignal>
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
+#include <mutex>
 #include <random>
+#include <set>
 
-#include "weft/error.hpp"
+#include "sdk/fingerprint.hpp"
 
 namespace weft {
 namespace {
 
+namespace fs = std::filesystem;
+
+constexpr std::string_view kTemporary = ".tmp";
+constexpr std::size_t kDigits = 8;  // of each of the three numbers behind it: machine, process, chance
+
+/// In which processes' numbers are unique: a boot of a machine, and a space of process numbers.
+std::uint32_t this_machine() {
+  static const std::uint32_t hash = [] {
+    std::string boot;
+    std::getline(std::ifstream("/proc/sys/kernel/random/boot_id"), boot);
+    std::error_code unknown;
+    return static_cast<std::uint32_t>(fnv1a(boot + fs::read_symlink("/proc/self/ns/pid", unknown).string()));
+  }();
+  return hash;
+}
+
 std::string unique_suffix() {
   std::random_device device;
-  char text[24];
-  std::snprintf(text, sizeof(text), ".tmp%08x%08x", device(), device());
+  char text[40];
+  std::snprintf(text, sizeof(text), "%s%08x%08x%08x", kTemporary.data(), this_machine(),
+                static_cast<unsigned>(getpid()), device());
   return text;
 }
 
+/// Whether a file is a temporary of a process of this machine that has ended. @param self may be its number: then that
+/// is an earlier process.
+bool is_left_behind(const std::string& name, pid_t self) {
+  const auto place = name.rfind(kTemporary);
+  if (place == std::string::npos || name.size() != place + kTemporary.size() + 3 * kDigits) return false;
+  const char* digits = name.data() + place + kTemporary.size();
+  std::uint32_t machine = 0, process = 0;
+  for (auto* number : {&machine, &process}) {
+    if (std::from_chars(digits, digits + kDigits, *number, 16).ptr != digits + kDigits) return false;
+    digits += kDigits;
+  }
+  if (machine != this_machine()) return false;
+  return static_cast<pid_t>(process) == self || (kill(static_cast<pid_t>(process), 0) != 0 && errno == ESRCH);
+}
+
+/// Removes the temporaries that ended processes left in a folder, before this process writes its first file there.
+void clear_once(const fs::path& folder) {
+  static std::mutex mutex;
+  static auto& cleared = *new std::set<fs::path>();  // lives as long as the last thread
+  std::error_code ignored;
+  const fs::path place = fs::canonical(folder.empty() ? "." : folder, ignored);
+  const std::lock_guard lock(mutex);
+  if (place.empty() || !cleared.insert(place).second) return;
+  for (const auto& entry : fs::directory_iterator(place, ignored))
+    if (is_left_behind(entry.path().filename().string(), getpid())) fs::remove(entry.path(), ignored);
+}
+
 }  // namespace
+
+WriteError::~WriteError() = default;
 
 std::string write_problem(int error_number) {
   const std::string reason = std::strerror(error_number);
@@ -55,8 +106,19 @@ void make_writable_folder(const std::filesystem::path& folder) {
 
 bool is_lfs_pointer(std::string_view beginning) { return beginning.starts_with("version https://git-lfs.github.com/"); }
 
+bool is_lfs_pointer_file(const fs::path& file) {
+  std::error_code none;
+  if (!fs::is_regular_file(file, none)) return false;
+  char beginning[64];
+  std::ifstream stream(file, std::ios::binary);
+  stream.read(beginning, sizeof(beginning));
+  return is_lfs_pointer({beginning, static_cast<std::size_t>(stream.gcount())});
+}
+
 WholeFile::WholeFile(std::filesystem::path file)
-    : file_(std::move(file)), temporary_(file_.string() + unique_suffix()) {}
+    : file_(std::move(file)), temporary_(file_.string() + unique_suffix()) {
+  clear_once(file_.parent_path());
+}
 
 WholeFile::~WholeFile() {
   std::error_code ignored;
@@ -64,13 +126,19 @@ WholeFile::~WholeFile() {
 }
 
 void WholeFile::commit() {
+  // Without this a power cut may leave a new name with no contents. EINVAL: the file system cannot do it.
+  const int opened = open(temporary_.c_str(), O_RDONLY | O_CLOEXEC);
+  if (opened < 0) fail(write_problem(errno));
+  const int problem = fsync(opened) == 0 || errno == EINVAL ? 0 : errno;
+  close(opened);
+  if (problem != 0) fail(write_problem(problem));
   std::error_code error;
   std::filesystem::rename(temporary_, file_, error);
   if (error) fail(write_problem(error.value()));
 }
 
 void WholeFile::fail(const std::string& reason) const {
-  throw Error(file_.string() + ": cannot be written: " + reason);
+  throw WriteError(file_.string() + ": cannot be written: " + reason);
 }
 
 std::filesystem::path library_folder() {
@@ -82,11 +150,18 @@ std::filesystem::path library_folder() {
 
 void write_text(const std::filesystem::path& file, std::string_view text) {
   WholeFile whole(file);
-  errno = 0;  // a stream does not report why it failed; errno does
-  std::ofstream stream(whole.temporary(), std::ios::binary);
-  stream.write(text.data(), static_cast<std::streamsize>(text.size()));
-  stream.close();
-  if (!stream) whole.fail(write_problem(errno));
+  const int opened = open(whole.temporary().c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
+  if (opened < 0) whole.fail(write_problem(errno));
+  int problem = 0;
+  while (!text.empty() && problem == 0) {
+    const ssize_t written = write(opened, text.data(), text.size());
+    if (written >= 0)
+      text.remove_prefix(static_cast<std::size_t>(written));
+    else if (errno != EINTR)
+      problem = errno;
+  }
+  if (close(opened) != 0 && problem == 0) problem = errno;  // where a file system reports late what it could not write
+  if (problem != 0) whole.fail(write_problem(problem));
   whole.commit();
 }
 

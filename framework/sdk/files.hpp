@@ -3,9 +3,17 @@
 #include <string>
 #include <string_view>
 
+#include "weft/error.hpp"
 #include "weft/export.hpp"
 
 namespace weft {
+
+/// A result that cannot be written. It says nothing about the work, which may be done again when the disk is mended.
+class WEFT_API WriteError : public Error {
+ public:
+  using Error::Error;
+  ~WriteError() override;
+};
 
 /// The reason of a failed write for people, from errno: what is wrong and, where there is one, the remedy.
 WEFT_API std::string write_problem(int error_number);
@@ -16,24 +24,27 @@ WEFT_API void make_writable_folder(const std::filesystem::path& folder);
 
 /// Whether a file that begins like this is a pointer of Git LFS in the place of the file itself.
 WEFT_API bool is_lfs_pointer(std::string_view beginning);
+/// The same of a file, which need not exist.
+WEFT_API bool is_lfs_pointer_file(const std::filesystem::path& file);
 /// What to tell about such a file, after its name.
 inline constexpr const char* kLfsPointer =
     "is a Git LFS pointer, not the file itself; run `git lfs pull` in its repository";
 
 /// A file that appears whole or not at all. It is written under a temporary name in the same folder, and commit()
 /// renames it. Without commit() nothing is left. Temporary names are unique: several programs may write one file, and
-/// the last one to commit wins.
+/// the last one to commit wins. What a killed process left in a folder is removed when another process of the same
+/// machine writes its first file there.
 class WEFT_API WholeFile {
  public:
   explicit WholeFile(std::filesystem::path file);
   ~WholeFile();
   WholeFile(const WholeFile&) = delete;
   WholeFile& operator=(const WholeFile&) = delete;
-  /// Where to write: FILE.tmp<16 hexadecimal digits>.
+  /// Where to write: FILE.tmp<24 hexadecimal digits>: machine, process, chance.
   const std::filesystem::path& temporary() const { return temporary_; }
-  /// Call it after the temporary file is closed. @throws Error naming the file and the reason.
+  /// Call it after the temporary file is closed. What it holds is on the disk before the name is. @throws WriteError naming the file and the reason.
   void commit();
-  /// @throws Error "<file>: cannot be written: <reason>". The temporary file goes with this object.
+  /// @throws WriteError "<file>: cannot be written: <reason>". The temporary file goes with this object.
   [[noreturn]] void fail(const std::string& reason) const;
 
  private:
@@ -44,7 +55,7 @@ class WEFT_API WholeFile {
 /// installation alike. Plugins, the page and the configs are found from there.
 WEFT_API std::filesystem::path library_folder();
 
-/// Writes a file with this text, whole or not at all. @throws Error naming the file and the reason.
+/// Writes a file with this text, whole or not at all. @throws WriteError naming the file and the reason.
 WEFT_API void write_text(const std::filesystem::path& file, std::string_view text);
 
 }  // namespace weft

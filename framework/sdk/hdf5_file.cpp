@@ -21,9 +21,6 @@ namespace fs = std::filesystem;
 // Debian's serial HDF5 is not built thread-safe; weft opens files from several threads.
 std::recursive_mutex& library_mutex() {
   static std::recursive_mutex mutex;
-  // At exit the library would write again what it could not write to a full disk, and crash. Nothing needs that: every
-  // file is closed by then. Must come before any other call.
-  [[maybe_unused]] static const herr_t no_exit_handler = H5dont_atexit();
   return mutex;
 }
 using Lock = std::lock_guard<std::recursive_mutex>;
@@ -88,10 +85,6 @@ std::optional<long long> number_after(const std::string& text, const std::string
   return value;
 }
 
-std::string write_problem_of(const std::string& failure) {
-  return write_problem(static_cast<int>(number_after(failure, "errno = ").value_or(0)));
-}
-
 /// Why a file cannot be opened, and what to do.
 std::string open_problem(const fs::path& file, const std::string& failure) {
   std::error_code ignored;
@@ -122,7 +115,7 @@ std::string open_problem(const fs::path& file, const std::string& failure) {
 
 struct Hdf5File::Impl {
   fs::path file;
-  std::optional<WholeFile> whole;  // of a writer
+  bool is_writer = false;
   hid_t id = -1;
 
   ~Impl() {
@@ -198,6 +191,13 @@ struct Hdf5File::Impl {
       fail(path, "cannot be read; the file is damaged");
     return values;
   }
+  /// @param data of the dataset `set`, which was just made; null: none.
+  void store(const std::string& path, const Handle& set, hid_t type, const void* data) const {
+    if (set.good() && (data == nullptr || H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) >= 0)) return;
+    const std::string failure = last_failure();
+    if (!set.good() && exists(path)) throw Error(file.string() + ": " + path + " was written twice");
+    throw Error(file.string() + ": " + path + " cannot be written: " + failure);
+  }
   void write(const std::string& path, const std::vector<Index>& dims, hid_t type, std::size_t size, const void* data,
              hid_t stored = -1) {
     const Lock lock(library_mutex());
@@ -219,11 +219,7 @@ struct Hdf5File::Impl {
     }
     const Handle set(H5Dcreate2(id, path.c_str(), stored < 0 ? type : stored, space, links, options, H5P_DEFAULT),
                      H5Dclose);
-    if (!set.good() || (count > 0 && H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0)) {
-      const std::string failure = last_failure();
-      if (exists(path) && set < 0) throw Error(file.string() + ": " + path + " was written twice");
-      whole->fail(write_problem_of(failure));
-    }
+    store(path, set, type, count > 0 ? data : nullptr);
   }
 };
 
@@ -237,9 +233,14 @@ Hdf5File Hdf5File::create(const fs::path& file) {
   H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
   auto impl = std::make_unique<Impl>();
   impl->file = file;
-  impl->whole.emplace(file);
-  impl->id = H5Fcreate(impl->whole->temporary().c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
-  if (impl->id < 0) impl->whole->fail(write_problem_of(last_failure()));
+  impl->is_writer = true;
+  // The library writes into memory, and commit() into the file: when the library cannot write a part to the disk, it
+  // does not always say so.
+  constexpr std::size_t kGrowsBy = 4 << 20;
+  const Handle options(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
+  H5Pset_fapl_core(options, kGrowsBy, false);
+  impl->id = H5Fcreate(file.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, options);
+  if (impl->id < 0) throw Error(file.string() + ": cannot be made in memory: " + last_failure());
   return Hdf5File(std::move(impl));
 }
 
@@ -286,26 +287,22 @@ void Hdf5File::write(const std::string& path, const std::string& text) {
   const Handle options(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
   H5Pset_obj_track_times(options, false);
   const Handle set(H5Dcreate2(impl_->id, path.c_str(), type, space, links, options, H5P_DEFAULT), H5Dclose);
-  if (!set.good() || H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, text.empty() ? "\0" : text.data()) < 0) {
-    const std::string failure = last_failure();
-    if (impl_->exists(path) && set < 0) throw Error(impl_->file.string() + ": " + path + " was written twice");
-    impl_->whole->fail(write_problem_of(failure));
-  }
+  impl_->store(path, set, type, text.empty() ? "\0" : text.data());
 }
 
 void Hdf5File::commit() {
   const Lock lock(library_mutex());
-  if (!impl_->whole || impl_->id < 0) throw Error(impl_->file.string() + ": nothing to commit");
-  std::string failure;
+  if (!impl_->is_writer || impl_->id < 0) throw Error(impl_->file.string() + ": nothing to commit");
+  std::string image;
   bool good = H5Fflush(impl_->id, H5F_SCOPE_GLOBAL) >= 0;
-  if (!good) failure = last_failure();
-  if (H5Fclose(impl_->id) < 0) {
-    if (good) failure = last_failure();
-    good = false;
-  }
+  const ssize_t size = good ? H5Fget_file_image(impl_->id, nullptr, 0) : -1;
+  if (size > 0) image.resize(static_cast<std::size_t>(size));
+  good = size > 0 && H5Fget_file_image(impl_->id, image.data(), image.size()) == size;
+  const std::string failure = last_failure();
+  H5Fclose(impl_->id);
   impl_->id = -1;
-  if (!good) impl_->whole->fail(write_problem_of(failure));
-  impl_->whole->commit();
+  if (!good) throw Error(impl_->file.string() + ": cannot be written: " + failure);
+  write_text(impl_->file, image);
 }
 
 bool Hdf5File::has(const std::string& path) const {

@@ -7,6 +7,7 @@
 #include <string_view>
 #include <system_error>
 
+#include "sdk/files.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -48,6 +49,7 @@ std::string read_whole(const std::filesystem::path& path) {
   if (!in || !in.read(text.data(), static_cast<std::streamsize>(size))) {
     throw ConfigError(path.string() + ": cannot be read");
   }
+  if (is_lfs_pointer(text)) throw ConfigError(path.string() + ": " + kLfsPointer);
   return text;
 }
 

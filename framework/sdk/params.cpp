@@ -4,6 +4,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "sdk/files.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -145,6 +146,7 @@ class Reader final : public ParamVisitor {
   }
   static ConfigNode read(const Declaration&, const Given& node, std::filesystem::path& value) {
     if (node) value = resolved_path(*node);
+    if (node && is_lfs_pointer_file(value)) node->fail("= " + value.string() + " " + kLfsPointer);
     return ConfigNode::quoted(value.string());
   }
 

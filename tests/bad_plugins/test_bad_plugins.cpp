@@ -35,6 +35,7 @@ const std::map<std::string, std::string>& refusals() {
       {"bad_version", "has the version '1.0??[31m', must be letters, digits"},
       {"wrong_type_size", "in it Variable has " + std::to_string(sizeof(Variable) + 8) + " bytes, in this weft " +
                               std::to_string(sizeof(Variable)) + "; rebuild it"},
+      {"other_processor", "was compiled for instructions that this processor has not ("},
       {"not_a_library", "cannot be loaded as a shared library: "},
       {"empty", "cannot be loaded as a shared library: "},
       {"undefined_symbol", "undefined symbol: _Z24weft_nobody_defines_thisd"},

@@ -95,5 +95,69 @@ TEST(Isolation, CostsItsCellOnly) {
   EXPECT_THAT(all.output, HasSubstr("interrupted; run the same command again"));
 }
 
+Outcome with_toys(const std::string& arguments) {
+  return test::run_shell("WEFT_PLUGIN_PATH='" WEFT_TOYS "' '" WEFT_PROGRAM "' " + arguments);
+}
+nlohmann::json read_json(const std::filesystem::path& file) {
+  std::ifstream stream(file);
+  return nlohmann::json::parse(stream);
+}
+
+TEST(Isolation, EvaluatePhysicsLosesItsCaseOnly) {
+  const Folder folder;
+  const auto file = folder.write("physics.yaml",
+                                 "extends: task.yaml\nsimulator: {plugin: toy_simulator}\n"
+                                 "physics: {tests: [free fall, hanging], garment_edge_m: 0.05}\n");
+  folder.write("task.yaml", kTask + "optimiser: {plugin: rprop}\n");
+  const auto evaluate = [&](const std::string& fault, const std::string& more) {
+    return with_toys("evaluate physics '" + file.string() + "' --jobs 2 --out '" + (folder / fault).string() +
+                     "' --set simulator.params.fault=" + fault + " --accept-changed " + more);
+  };
+  const Outcome segv = evaluate("null_pointer", "");
+  EXPECT_EQ(segv.code, 1) << segv.output;
+  const auto rows = read_json(folder / "null_pointer/physics.json").at("rows");
+  std::size_t crashed = 0;
+  for (const auto& row : rows) {
+    if (row.at("quantity") != "crashed") continue;
+    ++crashed;
+    EXPECT_FALSE(row.at("passed").get<bool>());
+    EXPECT_THAT(row.at("note").get<std::string>(),
+                AllOf(HasSubstr("SIGSEGV"), HasSubstr("plugin simulator toy_simulator")));
+  }
+  EXPECT_GE(crashed, 2u) << rows;
+  const Outcome spins = evaluate("spin", "--quiet --cell-limit 1 --set 'physics.tests=[free fall]'");
+  EXPECT_EQ(spins.code, 1) << spins.output;
+  EXPECT_EQ(read_json(folder / "spin/physics.json").at("rows").at(0).at("quantity"), "hung");
+}
+
+TEST(Isolation, EvaluatePredictionLosesItsBatchOnly) {
+  const Folder folder;
+  const auto file = folder.write("experiment.yaml", "extends: " WEFT_SOURCE_DIR
+                                                    "/configs/experiments/towel_small.yaml\n"
+                                                    "predictor: {plugin: toy_predictor, params: {}}\n");
+  const std::string data = (folder / "data").string();
+  ASSERT_EQ(with_toys("generate '" + file.string() + "' --examples 8 --quiet --out '" + data + "'").code, 0);
+  const auto evaluate = [&](const std::string& out, const std::string& more) {
+    return with_toys("evaluate prediction '" + file.string() + "' --data '" + data + "' --out '" +
+                     (folder / out).string() + "' --set evaluation.split=all --set evaluation.batch=4 " + more);
+  };
+  // The same numbers in a child process and in this one.
+  ASSERT_EQ(evaluate("child", "--quiet").code, 0);
+  ASSERT_EQ(evaluate("here", "--quiet --in-process").code, 0);
+  EXPECT_EQ(read_json(folder / "child/prediction.json"), read_json(folder / "here/prediction.json"));
+  const Outcome crashed = evaluate("crashed", "--set predictor.params.fault=null_pointer");
+  EXPECT_EQ(crashed.code, 1) << crashed.output;
+  EXPECT_THAT(crashed.output,
+              AllOf(HasSubstr("4 cases crashed: SIGSEGV"), HasSubstr("plugin predictor toy_predictor")));
+  const auto json = read_json(folder / "crashed/prediction.json");
+  EXPECT_EQ(json.at("failures").at(0).at("status"), "crashed");
+  EXPECT_GE(json.at("failed").get<int>(), 16);
+  const Outcome spins = evaluate("spins",
+                                 "--quiet --cell-limit 1 --set evaluation.max_examples=1 "
+                                 "--set evaluation.random_starts=1 --set predictor.params.fault=spin");
+  EXPECT_EQ(spins.code, 1) << spins.output;
+  EXPECT_EQ(read_json(folder / "spins/prediction.json").at("failures").at(0).at("status"), "hung");
+}
+
 }  // namespace
 }  // namespace weft

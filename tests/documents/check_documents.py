@@ -10,8 +10,11 @@ Usage: check_documents.py ROOT
 - Where a path stands beside a name, as "`name` in `path`" or "`path` (`name`)", the name occurs in that file.
 - An empty line stands before each list and table: mkdocs shows them as text otherwise, though GitHub does not.
 - These pages keep their length: README.md, docs/write-a-plugin.md.
+- Every row of a table in docs/trust.md that promises something names tests, and these exist: "`PROGRAM`: `Suite.Case`"
+  is a gtest case of a program that weft_test() makes, "`folder.name`" alone one of add_test(). A * stands for anything.
 Old records may name what was there then: CHANGELOG.md and docs/measurements/ are checked for links only.
 """
+import fnmatch
 import pathlib
 import re
 import sys
@@ -112,6 +115,40 @@ def check_blocks(page, text, fail):
         before = line
 
 
+def tests(root):
+    """The names of all tests: "PROGRAM: Suite.Case" of gtest, and those of add_test() with * for what CMake computes."""
+    names = set()
+    for lists in sorted((root / "tests").rglob("CMakeLists.txt")) + sorted((root / "cmake").glob("*.cmake")):
+        text = lists.read_text()
+        names |= {re.sub(r"\$\{\w+\}", "*", name) for name in re.findall(r"add_test\(NAME ([^\s)]+)", text)}
+        for program, sources in re.findall(r"weft_test\((\w+) SOURCES ([^)]*)\)", text):
+            for source in re.findall(r"[\w/]+\.cpp|\$\{\w+\}", sources):
+                files = lists.parent.glob("*.cpp" if source.startswith("$") else source)
+                for file in files:
+                    for suite, case in re.findall(r"\bTEST(?:_F|_P)?\((\w+),\s*(\w+)\)", file.read_text()):
+                        names.add(f"{program}: {suite}.{case}")
+    return names
+
+
+def check_trust(root, page, text, fail):
+    known = tests(root)
+    for number, line in enumerate(prose(text), 1):
+        if not line.startswith("| ") or line.startswith("| promise "):
+            continue
+        cell = line.rstrip().rstrip("|").rpartition(" | ")[2]
+        named, program = 0, ""
+        for code, colon in re.findall(r"`([^`]+)`(:?)", cell):
+            if colon:
+                program = code
+            elif re.fullmatch(r"[\w*]+\.[\w*.]+", code) and not code.endswith((".py", ".md", ".yaml")):
+                name = f"{program}: {code}" if code[0].isupper() else code
+                named += 1
+                if not any(fnmatch.fnmatchcase(one, name) or fnmatch.fnmatchcase(name, one) for one in known):
+                    fail(page, number, f"names the test {name}, which does not exist")
+        if named == 0:
+            fail(page, number, "promises something without a test")
+
+
 def check(root):
     """@return what is wrong, one line each, and the number of pages."""
     wrong = []
@@ -127,6 +164,8 @@ def check(root):
         name = page.relative_to(root).as_posix()
         if name != "CHANGELOG.md" and not name.startswith("docs/measurements/"):
             check_names(root, page, text, fail)
+        if name == "docs/trust.md":
+            check_trust(root, page, text, fail)
         if (lines := text.count("\n")) > LONGEST.get(name, lines):
             fail(page, lines, f"has {lines} lines, at most {LONGEST[name]} are allowed")
     return wrong, len(pages)

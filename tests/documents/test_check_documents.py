@@ -80,6 +80,23 @@ class Documents(unittest.TestCase):
         self.assertRegex(self.wrong("- a\n\ntext\n- b\n")[0], "README.md:4: a list")
         self.assertRegex(self.wrong("text\n| a |\n|---|\n")[0], "README.md:2: a list or table")
 
+    def test_refuses_promises_without_a_test_that_exists(self):
+        self.write("tests/unit/CMakeLists.txt", "weft_test(unit SOURCES test_a.cpp\n  LIBRARIES x)\n"
+                                                "add_test(NAME long.kills COMMAND x)\nadd_test(NAME laws.${kind} COMMAND x)\n")
+        self.write("tests/unit/test_a.cpp", "TEST(Folder, IsKept) {}\nTEST_F(Folder,\n       IsFound) {}\n")
+        head = "# Trust\n\n| promise | test |\n|---|---|\n"
+
+        def wrong(row):
+            return self.wrong(head + row + "\n", "docs/trust.md")
+
+        self.assertEqual([], wrong("| a | `unit`: `Folder.IsKept`, `Folder.IsFound`; `long.kills` |"))
+        self.assertEqual([], wrong("| a | `unit`: `Folder.*` |"))
+        self.assertEqual([], wrong("| a | `laws.simulator`; all of it: `tests/unit/test_a.cpp` |"))
+        self.assertRegex(wrong("| a | `unit`: `Folder.IsLost` |")[0], r"trust\.md:5: names the test unit: Folder\.IsLost")
+        self.assertRegex(wrong("| a | `apps`: `Folder.IsKept` |")[0], "apps: Folder.IsKept, which does not exist")
+        self.assertRegex(wrong("| a | `long.saves` |")[0], "does not exist")
+        self.assertRegex(wrong("| a `b.c` | by hand |")[0], "without a test")
+
     def test_refuses_a_long_readme(self):
         self.assertEqual([], self.wrong("a\n" * 90))
         self.assertRegex(self.wrong("a\n" * 91)[0], "91 lines")

@@ -1,7 +1,13 @@
 #include "sdk/files.hpp"
 
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <cerrno>
+#include <chrono>
+#include <csignal>
 #include <fstream>
+#include <thread>
 
 #include "unit/test_support.hpp"
 #include "weft/error.hpp"
@@ -52,6 +58,36 @@ TEST(WholeFile, TwoWritersOfOneFileDoNotMeet) {
   other.commit();
   EXPECT_EQ(text_of(folder / "a.txt"), "other");
   EXPECT_EQ(entries(folder.path()), 1u);
+}
+
+TEST(WholeFile, TheFirstOneInAFolderRemovesWhatEndedProcessesLeft) {
+  const test::Folder folder;
+  const auto by = [&](const std::string& name, auto make) {  // a process that writes half of a file
+    const pid_t child = fork();
+    if (child == 0) {
+      WholeFile whole(folder / name);
+      std::ofstream(whole.temporary()) << "half";
+      make();
+    }
+    return child;
+  };
+  const auto count = [&](std::size_t files) {
+    while (entries(folder.path()) < files) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  };
+  int status = 0;
+  const pid_t alive = by("b.txt", [] { std::this_thread::sleep_for(std::chrono::hours(1)); });
+  count(1);
+  const pid_t killed = by("a.txt", [] { raise(SIGKILL); });
+  waitpid(killed, &status, 0);
+  folder.write("notes.tmp", "mine");
+  folder.write("c.txt.tmp0123456789abcdef", "of an earlier version");
+  ASSERT_EQ(entries(folder.path()), 4u);
+  write_text(folder / "d.txt", "whole");
+  EXPECT_EQ(entries(folder.path()), 4u);  // the killed one's is gone
+  for (const auto& entry : fs::directory_iterator(folder.path()))
+    EXPECT_THAT(entry.path().filename().string(), ::testing::Not(::testing::StartsWith("a.txt")));
+  kill(alive, SIGKILL);
+  waitpid(alive, &status, 0);
 }
 
 TEST(WholeFile, SaysWhichFileCannotBeWrittenAndWhy) {

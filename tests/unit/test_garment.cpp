@@ -112,6 +112,8 @@ INSTANTIATE_TEST_SUITE_P(Samples, ReadObjRefuses, ::testing::ValuesIn(bad_files(
 
 TEST(ReadObj, RefusesMissingFilesAndFolders) {
   EXPECT_THAT(message_of<ConfigError>([] { read_obj("/nowhere/there.obj"); }), HasSubstr("there.obj: no such file"));
+  EXPECT_THAT(message_of<ConfigError>([] { read_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\n"); }),
+              HasSubstr("mesh.obj: is a Git LFS pointer, not the file itself; run `git lfs pull`"));
   EXPECT_THAT(message_of<ConfigError>([] { read_obj(std::filesystem::temp_directory_path()); }),
               HasSubstr("not a file"));
 }

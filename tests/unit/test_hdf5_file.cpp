@@ -81,7 +81,7 @@ TEST(Hdf5File, ANameIsWrittenOnce) {
 
 TEST(Hdf5File, AFailedWriteGivesTheReasonAndLeavesNothing) {
   const Folder folder;
-  EXPECT_THAT(message_of<Error>([&] { Hdf5File::create(folder / "none/a.h5"); }),
+  EXPECT_THAT(message_of<Error>([&] { Hdf5File::create(folder / "none/a.h5").commit(); }),
               HasSubstr("none/a.h5: cannot be written: No such file or directory"));
   // A limit on the size of files fails as a full disk does, and needs no disk.
   rlimit before{};

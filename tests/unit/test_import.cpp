@@ -535,6 +535,9 @@ TEST(Import, OtherFormatsNeedAssimp) {
     EXPECT_THAT(found(scene, "pieces"), HasSubstr("around (0.30, 0.30, 1.00)"));
     EXPECT_NEAR(area_of(scene), 0.36, 1e-6);
     EXPECT_THAT(message_of<ConfigError>([] { import_text("no mesh", {}, "mesh.ply"); }), HasSubstr("cannot be read"));
+    EXPECT_THAT(message_of<ConfigError>(
+                    [] { import_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\n", {}, "mesh.ply"); }),
+                HasSubstr("mesh.ply: is a Git LFS pointer"));
   } catch (const ConfigError& error) {
     EXPECT_THAT(error.what(), AllOf(HasSubstr("this build of weft reads OBJ only"), HasSubstr("libassimp-dev")));
   }

@@ -224,6 +224,14 @@ TEST(Params, ListsHaveTheLengthThatIsDeclared) {
   EXPECT_THAT(params.weights, ElementsAre(0.0, 0.5, 1.0));
 }
 
+TEST(Params, RefusesAFileThatIsAGitLfsPointer) {
+  const test::Folder folder;
+  const auto file = folder.write("m.pt", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n");
+  EXPECT_EQ(refusal("model: " + file.string()), "fold.yaml:1: model = " + file.string() +
+                                                    " is a Git LFS pointer, not the file itself; run `git lfs pull` in "
+                                                    "its repository");
+}
+
 TEST(Params, DescribeTellsWhatIsBehindAType) {
   const auto infos = describe_params<Experiment>();
   EXPECT_EQ(param_named(infos, "wind").type, "list of 2 numbers (x, y)");

@@ -160,12 +160,12 @@ TEST(Worker, StopsWhenTheUserAsks) {
 }
 
 TEST(Worker, LimitsFollowTheSlowestUnit) {
-  EXPECT_EQ(work_limits(0.0, 0.0).cpu_s, 0.0);  // nothing to compare with: no limit
+  EXPECT_EQ(work_limits(0.0, 0.0).cpu_s, 86400.0);  // nothing to compare with
   EXPECT_EQ(work_limits(0.0, 0.5).cpu_s, 600.0);
   EXPECT_EQ(work_limits(0.0, 100.0).cpu_s, 2000.0);
   EXPECT_EQ(work_limits(7.0, 100.0).cpu_s, 7.0);
   SlowestUnit slowest(0.0);
-  EXPECT_EQ(slowest.limits().cpu_s, 0.0);
+  EXPECT_EQ(slowest.limits().cpu_s, 86400.0);
   slowest.add(0.0);
   EXPECT_EQ(slowest.limits().cpu_s, 600.0);
   slowest.add(50.0);

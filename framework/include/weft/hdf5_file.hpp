@@ -14,7 +14,7 @@ namespace weft {
 /// Paths are "/group/name"; groups are made as needed. @throws Error naming file and path.
 class WEFT_API Hdf5File {
  public:
-  /// Writes a temporary file beside `file`; commit() renames it. So `file` is whole or absent.
+  /// The new file is in memory until commit(), which writes it beside `file` and renames it: `file` is whole or absent.
   static Hdf5File create(const std::filesystem::path& file);
   /// @throws ConfigError if the file is missing, locked, cut short, damaged or not an HDF5 file; it says which.
   static Hdf5File open(const std::filesystem::path& file);

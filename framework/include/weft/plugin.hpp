@@ -20,6 +20,45 @@ extern "C" struct WeftPluginInfo {
   unsigned sizes[24];  ///< bytes of crossing_types(), in their order; then zeros
 };
 
+// Instructions beyond the oldest x86-64 that a library was compiled for (-march). A note in the file says which, so that
+// the loader can refuse a library that this processor cannot run before it executes anything of it.
+constexpr unsigned kAvx = 1, kAvx2 = 2, kFma = 4, kBmi2 = 8, kAvx512f = 16, kAvx512bw = 32, kAvx512dq = 64,
+                   kAvx512vl = 128;
+constexpr unsigned kCompiledFor = 0
+#ifdef __AVX__
+                                  | kAvx
+#endif
+#ifdef __AVX2__
+                                  | kAvx2
+#endif
+#ifdef __FMA__
+                                  | kFma
+#endif
+#ifdef __BMI2__
+                                  | kBmi2
+#endif
+#ifdef __AVX512F__
+                                  | kAvx512f
+#endif
+#ifdef __AVX512BW__
+                                  | kAvx512bw
+#endif
+#ifdef __AVX512DQ__
+                                  | kAvx512dq
+#endif
+#ifdef __AVX512VL__
+                                  | kAvx512vl
+#endif
+    ;
+
+/// An ELF note: sizes of name and description, type, name, description.
+extern "C" struct WeftInstructionsNote {
+  unsigned name_size = sizeof(name), size = sizeof(instructions), type = 1;
+  char name[8] = "weftisa";
+  unsigned instructions = kCompiledFor;
+};
+constexpr const char* kInstructionsNoteName = "weftisa";
+
 // Everything two libraries must agree on before they exchange C++ objects, besides crossing_types().
 #define WEFT_STRINGIFY_(x) #x
 #define WEFT_STRINGIFY(x) WEFT_STRINGIFY_(x)
@@ -103,6 +142,8 @@ Interface* create_plugin(Host& host, const ConfigNode& params_node) {
 /// name and, if given, version are those of weft_add_plugin().
 #define WEFT_PLUGIN(Interface, Impl, Params, name, version)                                              \
   WEFT_CHECK_PLUGIN_(Interface, name, version)                                                           \
+  [[gnu::section(".note.weft"), gnu::used]] alignas(                                                     \
+      4) static const ::weft::WeftInstructionsNote weft_plugin_instructions{};                           \
   extern "C" WEFT_API const ::weft::WeftPluginInfo weft_plugin_info =                                    \
       ::weft::make_plugin_info<Interface>(name, version);                                                \
   extern "C" WEFT_API void* weft_plugin_create(::weft::Host* host, const ::weft::ConfigNode* params) {   \

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cctype>
 
+#include "sdk/files.hpp"
 #include "weft/error.hpp"
 
 #ifdef WEFT_HAS_ASSIMP
@@ -65,6 +66,7 @@ void add_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& above
 ObjFile read_other_format(const fs::path& path) {
 #ifdef WEFT_HAS_ASSIMP
   if (!fs::is_regular_file(path)) throw ConfigError(path.string() + ": no such file");
+  if (is_lfs_pointer_file(path)) throw ConfigError(path.string() + ": " + kLfsPointer);
   Assimp::Importer importer;
   const aiScene* scene = importer.ReadFile(path.string(), 0);
   if (scene == nullptr || scene->mRootNode == nullptr) {

@@ -103,7 +103,8 @@ class Fit {
       is_cancelled = !evaluate_and_report() || job_.host.cancelled();
       if (is_cancelled || state_.iteration % t_.checkpoint_every == 0) save_checkpoint();
     }
-    const bool is_evaluated = evaluated_at_ == state_.iteration;
+    // The state may come from a checkpoint that was written after the last evaluation.
+    const bool is_evaluated = !state_.curve.empty() && state_.curve.back().iteration == state_.iteration;
     if (state_.best_weights.empty() || (!is_cancelled && !is_evaluated)) evaluate();  // stopped in between
     finish(is_cancelled ? "cancelled" : stopped_by);
     job_.report.finished = !is_cancelled;
@@ -137,7 +138,6 @@ class Fit {
   }
 
   void evaluate() {
-    evaluated_at_ = state_.iteration;
     const auto& weights = t_.average > 0 ? state_.average : state_.weights;
     const auto [loss, error_mm] = validation_.evaluate(weights);
     state_.validation_loss = loss;
@@ -254,7 +254,7 @@ class Fit {
   BatchGradient gradient_;
   Optimiser optimiser_;
   Validation validation_;
-  std::int64_t first_iteration_, evaluated_at_ = -1;
+  std::int64_t first_iteration_;
   double earlier_seconds_;  ///< of the processes before this one
   Clock::time_point started_, last_report_ = Clock::now();
 };
