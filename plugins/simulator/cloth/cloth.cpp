@@ -102,6 +102,8 @@ void Cloth::choose_inertia(bool fine) {
     const double wave = std::sqrt(std::max(m.c11, m.c22) / fabric.density_kg_per_m2);
     length = std::max(length, params_.fine_inertia_length_m * std::clamp(wave / kFastWave, 1.0, kMostInertia));
     elements_->damp_at_least(params_.fine_stretch_damping_s, params_.fine_bend_damping_s);
+  } else if (fabric.tables) {
+    elements_->damp_at_least(0.0, params_.table_bend_damping_s);
   }
   scaling_ = std::make_unique<MassScaling>(*topology_, elements_->stiffest_membrane(), fabric.density_kg_per_m2,
                                            masses_, length);
