@@ -2,11 +2,13 @@
 // test_cloth_physics.cpp.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 
 #include <atomic>
 #include <cmath>
 #include <cstdlib>
+#include <cstring>
 #include <new>
 #include <set>
 
@@ -20,6 +22,7 @@
 #include "simulator/cloth/mass_scaling.cpp"
 #include "simulator/cloth/patches.cpp"
 #include "simulator/cloth/stability.cpp"
+#include "simulator/cloth/tables.cpp"
 #include "simulator/cloth/topology.cpp"
 #include "unit/test_support.hpp"
 #include "weft/random.hpp"
@@ -130,6 +133,84 @@ double membrane_energy(const Garment& g, const Positions& x, const MembraneModul
             2.0 * m.g * e(0, 1) * e(0, 1));
   }
   return sum;
+}
+
+TEST(ClothElements, SixteenLanesGiveTheBitsOfEight) {
+  if (!has_wide_lanes()) GTEST_SKIP() << "this processor has no AVX-512";
+  const Garment g = sheet(9, 7, 0.02, 0.3);
+  const Topology topology(g);
+  RandomStream random(5, 1);
+  Positions x = g.positions;
+  for (Index i = 0; i < x.size(); ++i) x.data()[i] += 0.003 * random.normal();
+  Shape shape(x);
+  const auto speed = [&] { return static_cast<float>(random.normal()); };
+  for (Float4& v : shape.v) v = {speed(), speed(), speed(), 0.0f};
+  for (const double stretch_s : {0.0, 1e-3})
+    for (const double bend_s : {0.0, 2e-3}) {
+      Fabric f = fabric();
+      f.damping_stretch_s = stretch_s;
+      f.damping_bend_s = bend_s;
+      const Elements elements(topology, f);
+      std::vector<Float4> eight(x.rows(), Float4{}), sixteen = eight;
+      const float stretch = elements.add_forces(shape.x.data(), shape.v.data(), eight.data(), false);
+      EXPECT_EQ(elements.add_forces(shape.x.data(), shape.v.data(), sixteen.data(), true), stretch);
+      EXPECT_GT(stretch, 1.1f);
+      EXPECT_EQ(std::memcmp(eight.data(), sixteen.data(), eight.size() * sizeof(Float4)), 0);
+    }
+}
+
+/// Tables that hold one figure for every strain, angle and curvature.
+std::shared_ptr<MaterialTables> constant_tables() {
+  auto tables = std::make_shared<MaterialTables>();
+  for (auto& row : tables->stretching) row = {40.0, 8.0, 60.0, 40.0};
+  for (int row = 0; row < 3; ++row) tables->bending[row].fill(row == 0 ? 9.6e-5 : row == 1 ? 7.2e-5 : 6.4e-5);
+  return tables;
+}
+
+TEST(ClothElements, ConstantTablesGiveTheForcesOfConstants) {
+  const Garment g = sheet(9, 7, 0.02, 0.3);
+  const Topology topology(g);
+  Fabric f = fabric();
+  f.bend_warp_n_m = 1.6e-5, f.bend_bias_n_m = 1.8e-5, f.bend_weft_n_m = 2.4e-5;
+  f.stretch_warp_n_per_m = 80.0 - 16.0 * 16.0 / 120.0, f.stretch_weft_n_per_m = 120.0 - 16.0 * 16.0 / 80.0;
+  f.poisson = 16.0 / 120.0, f.stretch_shear_n_per_m = 40.0;
+  const Elements constants(topology, f);
+  f.tables = constant_tables();
+  Elements tables(topology, f);
+  tables.refer_to_rest();
+  Positions x = g.positions;
+  RandomStream random(5, 2);
+  for (Index i = 0; i < x.size(); ++i) x.data()[i] += 0.003 * random.normal();
+  std::vector<Double4> at(x.rows());
+  for (Index i = 0; i < x.rows(); ++i) at[i] = {x(i, 0), x(i, 1), x(i, 2), 0.0};
+  const Elements::Growth growth = tables.update_moduli(at.data());
+  EXPECT_NEAR(growth.membrane, 1.0, 1e-12);
+  EXPECT_NEAR(growth.bending, 1.0, 1e-12);
+  const Positions wanted = forces_on(constants, x), got = forces_on(tables, x);
+  EXPECT_LT((got - wanted).cwiseAbs().maxCoeff(), 1e-6 * wanted.cwiseAbs().maxCoeff());
+}
+
+TEST(ClothElements, GrowthBoundsWhatStrainAddsToTheStiffnessOfTables) {
+  const Garment g = sheet(9, 7, 0.02, 0.3);
+  const Topology topology(g);
+  Fabric f = fabric();
+  auto made = constant_tables();
+  made->stretching[1] = {100.0, 4.0, 90.0, 30.0};  // 1/6 along warp: 2.5 times as stiff there
+  f.tables = made;
+  Elements elements(topology, f);
+  elements.refer_to_rest();
+  std::vector<Double4> at(g.vertex_count());
+  const auto stretched = [&](double part) {
+    for (Index i = 0; i < g.vertex_count(); ++i) at[i] = {(1.0 + part) * g.rest(i, 0), g.rest(i, 1), 0.0, 0.0};
+    return elements.update_moduli(at.data()).membrane;
+  };
+  EXPECT_NEAR(stretched(0.0), 1.0, 1e-9);
+  // Largest eigenvalue of [100 4; 4 90] against [40 8; 8 60].
+  const Eigen::Matrix2d now{{100.0, 4.0}, {4.0, 90.0}}, rest{{40.0, 8.0}, {8.0, 60.0}};
+  const double wanted = (rest.inverse() * now).eigenvalues().real().maxCoeff();
+  EXPECT_NEAR(stretched(1.0 / 6.0), wanted, 1e-6);
+  EXPECT_GT(wanted, 2.5);
+  EXPECT_NEAR(stretched(0.0), 1.0, 1e-9);
 }
 
 TEST(ClothElements, MembraneForceIsMinusTheEnergysGradient) {
@@ -547,7 +628,7 @@ TEST(ClothContact, EveryPairWithinItsDistanceIsACandidateThoughFewVerticesAreSea
   Fabric f = fabric();
   f.thickness_m = 0.002;
   const Elements elements(topology, f);
-  const SelfContact contact(topology, f, 0.4f, 0);
+  const SelfContact contact(topology, PatchTree(topology), f, 0.4f, 0);
   SelfContact::State state;
   contact.clear(state);
   const auto n = static_cast<std::size_t>(topology.vertices);
@@ -647,7 +728,7 @@ TEST(ClothContact, WhatWasFlatIsSearchedWholeOnceItIsFlatNoMore) {
   const Topology topology(garment);
   Fabric f = fabric();
   f.thickness_m = 0.012;
-  const SelfContact contact(topology, f, 0.4f, 0);
+  const SelfContact contact(topology, PatchTree(topology), f, 0.4f, 0);
   SelfContact::State state;
   contact.clear(state);
   const auto n = static_cast<std::size_t>(topology.vertices);

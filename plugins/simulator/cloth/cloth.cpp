@@ -65,7 +65,10 @@ void Cloth::start() {
                       ", must be at least min_substeps = " + std::to_string(params_.min_substeps));
 
   const Index n = garment().vertex_count();
-  topology_ = std::make_unique<Topology>(garment());
+  if (!topology_ || !topology_->is_of(garment())) {
+    topology_ = std::make_unique<Topology>(garment());
+    tree_ = std::make_unique<PatchTree>(*topology_);
+  }
   masses_.resize(n);
   for (Index i = 0; i < n; ++i) masses_[i] = fabric.density_kg_per_m2 * topology_->vertex_area[i];
   choose_inertia(topology_->mean_edge < kFineEdge);
@@ -87,7 +90,6 @@ void Cloth::start() {
   start_.reserve(64);
   target_.reserve(64);
   load_state();
-  if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
 }
 
 /// Sets up elements, scaled inertia and contact, and chooses the substep.
@@ -100,20 +102,24 @@ void Cloth::choose_inertia(bool fine) {
     const double wave = std::sqrt(std::max(m.c11, m.c22) / fabric.density_kg_per_m2);
     length = std::max(length, params_.fine_inertia_length_m * std::clamp(wave / kFastWave, 1.0, kMostInertia));
     elements_->damp_at_least(params_.fine_stretch_damping_s, params_.fine_bend_damping_s);
+  } else if (fabric.tables) {
+    elements_->damp_at_least(0.0, params_.table_bend_damping_s);
   }
   scaling_ = std::make_unique<MassScaling>(*topology_, elements_->stiffest_membrane(), fabric.density_kg_per_m2,
                                            masses_, length);
-  contact_ = std::make_unique<SelfContact>(*topology_, fabric, scaling_->stages() > 1 ? kSpringScaled : kSpring);
+  if (elements_->nonlinear() && scaling_->stages() == 1) elements_->refer_to_rest();
+  contact_ =
+      std::make_unique<SelfContact>(*topology_, *tree_, fabric, scaling_->stages() > 1 ? kSpringScaled : kSpring);
   choose_step();
 }
 
 /// Chooses the longest substep. Stiffness-proportional damping that would shorten it too much is reduced.
 void Cloth::choose_step() {
   const double stretch_s = elements_->stretch_damping_s(), bend_s = elements_->bend_damping_s();
-  const Spectrum spectrum = largest_frequencies(*elements_, masses_, *scaling_);
-  const double part = damping_part(spectrum, stretch_s, bend_s, params_.step_safety, params_.damping_least_step);
+  spectrum_ = largest_frequencies(*elements_, masses_, *scaling_);
+  const double part = damping_part(spectrum_, stretch_s, bend_s, params_.step_safety, params_.damping_least_step);
   elements_->scale_damping(part);
-  longest_step_ = stable_step(spectrum, part * stretch_s, part * bend_s, params_.step_safety);
+  longest_step_ = stable_step(spectrum_, part * stretch_s, part * bend_s, params_.step_safety);
   if (params_.self_contact) {
     const double sink =
         scaling_->stages() > 1 ? std::clamp(kSinkLength / fabric().thickness_m, kSinkScaled, kSinkMost) : kSink;
@@ -163,7 +169,13 @@ void Cloth::hold_changed(Index vertex, bool held) {
 
 void Cloth::advance_frame(const Positions& targets, double drag, Positions& x, Positions& v) {
   aim(targets);
-  if (elements_->nonlinear()) elements_->update_moduli(state_.x.data());
+  frame_step_ = longest_step_;
+  if (elements_->nonlinear()) {
+    const Elements::Growth growth = elements_->update_moduli(state_.x.data());
+    const Spectrum now{growth.membrane * spectrum_.membrane, growth.bending * spectrum_.bending};
+    frame_step_ = std::min(longest_step_, stable_step(now, elements_->stretch_damping_s(), elements_->bend_damping_s(),
+                                                      params_.step_safety));
+  }
   last_substeps_ = 0;
   for (double done = 0.0; done < kFrameSeconds;) {
     advance_block(done, drag);
@@ -197,7 +209,7 @@ void Cloth::advance_block(double& done, double drag) {
   const double stiffening = std::max(1.0, (1.5 * state_.stiffening - 0.5) / 1.15);
   const double rest = kFrameSeconds - done;
   const double limit =
-      std::min(longest_step_ / std::sqrt(stiffening), kFrameSeconds / static_cast<double>(params_.min_substeps));
+      std::min(frame_step_ / std::sqrt(stiffening), kFrameSeconds / static_cast<double>(params_.min_substeps));
   const double wanted = std::ceil(rest / limit - 1e-6);
   if (!(wanted <= static_cast<double>(params_.max_substeps)))
     throw Diverged("the cloth needs more than max_substeps = " + std::to_string(params_.max_substeps) +

@@ -6,6 +6,7 @@
 #include "elements.hpp"
 #include "mass_scaling.hpp"
 #include "params.hpp"
+#include "stability.hpp"
 #include "weft/simulator.hpp"
 
 namespace weft::cloth {
@@ -60,12 +61,16 @@ class Cloth final : public SimulatorBase {
   void rest_on_ground(const Double4& x, double dt, Double4& v, Double4& a, Float4& free) const;
 
   Params params_;
+  /// The parts of the setup that depend on the mesh alone. A simulator that is reset for the next fold keeps them.
   std::unique_ptr<Topology> topology_;
+  std::unique_ptr<PatchTree> tree_;
   std::unique_ptr<Elements> elements_;
   std::unique_ptr<SelfContact> contact_;
   std::unique_ptr<MassScaling> scaling_;
   std::vector<double> masses_;  ///< kg, lumped: a third of the faces around
+  Spectrum spectrum_;           ///< at rest
   double longest_step_ = 0.0;   ///< s, at rest
+  double frame_step_ = 0.0;     ///< s, the same with the frame's moduli
 
   State state_;
   Index last_substeps_ = 0;

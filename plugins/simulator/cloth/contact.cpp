@@ -38,12 +38,13 @@ Measured measure(Candidate* const (&list)[8], Contact* const (&contact)[8], cons
 
 }  // namespace
 
-SelfContact::SelfContact(const Topology& topology, const Fabric& fabric, float spring, std::int32_t piecewise)
+SelfContact::SelfContact(const Topology& topology, const PatchTree& tree, const Fabric& fabric, float spring,
+                         std::int32_t piecewise)
     : topology_(&topology),
       thickness_(static_cast<float>(fabric.thickness_m)),
       friction_(static_cast<float>(fabric.self_friction)),
       spring_(spring),
-      search_(topology, thickness_, kEdgePart * thickness_, piecewise) {}
+      search_(topology, tree, thickness_, kEdgePart * thickness_, piecewise) {}
 
 double SelfContact::longest_step(double g, double part) const {
   // k depth = m g with k = spring_ m / (2 kLeastLoad dt^2).

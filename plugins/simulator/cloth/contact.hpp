@@ -19,9 +19,8 @@ inline __m256d meet_ground(double z, double dt, double floor, double mu, __m256d
   const double vx = _mm_cvtsd_f64(xy), vy = _mm_cvtsd_f64(_mm_unpackhi_pd(xy, xy));
   const double vz = _mm_cvtsd_f64(_mm256_extractf128_pd(v, 1));
   const double allowed = z > floor ? (floor - z) / dt : 0.0;  // <= 0
-  const double stopped = std::max(0.0, allowed - vz);
-  const double sliding = std::sqrt(vx * vx + vy * vy);
-  const double left = sliding <= mu * stopped ? 0.0 : 1.0 - mu * stopped / sliding;
+  const double grip = mu * std::max(0.0, allowed - vz), sliding2 = vx * vx + vy * vy;
+  const double left = sliding2 <= grip * grip ? 0.0 : 1.0 - grip / std::sqrt(sliding2);  // most vertices stick
   // In registers: three numbers stored and read again as one vector would stall the load.
   return _mm256_blend_pd(_mm256_mul_pd(v, _mm256_set1_pd(left)), _mm256_set1_pd(std::max(vz, allowed)), 4);
 }
@@ -56,9 +55,10 @@ class SelfContact {
     std::int64_t touching = 0;  ///< active pairs with force in the last substep
   };
 
-  /// @param spring part of the explicit limit dt^2 lambda = 4 that the springs of contact take.
+  /// @param tree of the topology. @param spring part of the explicit limit dt^2 lambda = 4 that the springs of contact take.
   /// @param piecewise see ContactSearch.
-  SelfContact(const Topology& topology, const Fabric& fabric, float spring, std::int32_t piecewise = 2000);
+  SelfContact(const Topology& topology, const PatchTree& tree, const Fabric& fabric, float spring,
+              std::int32_t piecewise = 2000);
 
   /// Makes sure that the candidates are valid for the next block (ContactSearch).
   void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,

@@ -140,13 +140,14 @@ class ContactSearch::Search {
   double shortest_ = 0.0;  ///< s, of a path
 };
 
-ContactSearch::ContactSearch(const Topology& topology, float thickness, float edge_thickness, std::int32_t piecewise)
+ContactSearch::ContactSearch(const Topology& topology, const PatchTree& tree, float thickness, float edge_thickness,
+                             std::int32_t piecewise)
     : topology_(&topology),
       thickness_(thickness),
       edge_thickness_(edge_thickness),
       slack_(kSlack * static_cast<float>(topology.mean_edge)),
       piecewise_(piecewise),
-      tree_(topology) {
+      tree_(tree) {
   scratch_.sums.resize(tree_.nodes.size());
   scratch_.least_cosine.resize(tree_.nodes.size());
   scratch_.boxed.resize(tree_.patches.size());

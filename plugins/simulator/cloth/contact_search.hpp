@@ -62,7 +62,9 @@ class ContactSearch {
   /// @param thickness, edge_thickness m, distance below which vertex and triangle, and two edges, are in contact.
   /// @param piecewise from this number of vertices on, a search is only for vertices that have left their path. With
   /// fewer vertices a search for all is as fast.
-  ContactSearch(const Topology& topology, float thickness, float edge_thickness, std::int32_t piecewise);
+  /// @param tree of the topology.
+  ContactSearch(const Topology& topology, const PatchTree& tree, float thickness, float edge_thickness,
+                std::int32_t piecewise);
 
   /// Makes sure that the candidates are valid for the next block, else searches again.
   void prepare(State& state, const Double4* x, const Double4* v, const Fixed4* fixed, double unit,

@@ -12,39 +12,12 @@ MembraneModuli membrane_moduli(const Fabric& fabric) {
   return {warp / det, nu12 * weft / det, weft / det, fabric.stretch_shear_n_per_m};
 }
 
-MembraneModuli membrane_moduli(const MaterialTables& tables, double multiplier, double e11, double e22, double e12) {
-  // Principal direction of E, and its principal stretch minus one.
-  const double mean = 0.5 * (e11 + e22), half = 0.5 * (e11 - e22), radius = std::hypot(half, e12);
-  const double angle = radius > 0.0 ? 0.5 * std::abs(std::atan2(e12, half)) : 0.0;  // [0, pi/2] by symmetry
-  const double stretch = std::sqrt(std::max(0.0, 1.0 + 2.0 * (mean + radius))) - 1.0;
-  const double t = std::clamp(stretch * 6.0, 0.0, 1.0);
-  const double column = std::clamp(angle / (M_PI / 8.0), 0.0, 4.0);
-  const int i = std::min(3, static_cast<int>(column));
-  const double s = column - i;
-  double c[4];
-  for (int k = 0; k < 4; ++k) {
-    const auto at = [&](int row) { return std::max(0.0, tables.stretching[row][k]); };
-    c[k] = multiplier * ((1.0 - t) * at(0) + t * ((1.0 - s) * at(1 + i) + s * at(2 + i)));
-  }
-  return {2.0 * c[0], 2.0 * c[1], 2.0 * c[2], c[3]};
-}
-
 BendingModuli bending_moduli(double warp, double weft, double bias) {
   const double twist = 4.0 * bias - warp - weft;
   // d33 at least a twentieth of the mean keeps saddle shapes from being free.
   const double d33 = std::max(twist, 0.05 * (warp + weft));
   const double limit = 0.95 * std::sqrt(warp * weft);
   return {warp, weft, std::clamp(0.5 * (twist - d33), -limit, limit), d33};
-}
-
-BendingModuli bending_moduli(const MaterialTables& tables, double multiplier, double curvature) {
-  const double column = std::clamp(curvature / 10.0, 0.0, 4.0);
-  const int i = std::min(3, static_cast<int>(column));
-  const double s = column - i;
-  const auto at = [&](int row) {
-    return 0.25 * multiplier * std::max(0.0, (1.0 - s) * tables.bending[row][i] + s * tables.bending[row][i + 1]);
-  };
-  return bending_moduli(at(2), at(0), at(1));
 }
 
 Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&topology), fabric_(fabric) {
@@ -56,7 +29,7 @@ Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&
   gradient_.resize(face_total);
   patches_.resize(face_total);
   factors_.resize(face_total);
-  blocks_.assign((face_total + 7) / 8, ElementBlock{});
+  blocks_.assign((face_total + kElementLanes - 1) / kElementLanes, ElementBlock{});
   for (std::int32_t f = 0; f < face_total; ++f) {
     const auto& face = topology.faces[f];
     const auto& p = topology.rest[face[0]];
@@ -66,37 +39,26 @@ Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&
     const double det = u1 * v2 - v1 * u2;
     gradient_[f] = {v2 / det, -v1 / det, -u2 / det, u1 / det};
     patches_[f] = make_patch(f);
-    ElementBlock& block = blocks_[f / 8];
-    const int lane = f % 8;
+    ElementBlock& block = blocks_[f / kElementLanes];
+    const int lane = f % kElementLanes;
     for (int k = 0; k < 6; ++k) block.node[k][lane] = offset_of(patches_[f].node[k]);
     for (int k = 0; k < 4; ++k) block.gradient[k][lane] = static_cast<float>(gradient_[f][k] * unit_);
   }
 
-  if (fabric_.tables) {
-    for (const auto& row : fabric_.tables->stretching) {
-      const double m = fabric_.stretch_multiplier;
-      stiffest_membrane_.c11 = std::max(stiffest_membrane_.c11, 2.0 * m * row[0]);
-      stiffest_membrane_.c12 = std::max(stiffest_membrane_.c12, 2.0 * m * row[1]);
-      stiffest_membrane_.c22 = std::max(stiffest_membrane_.c22, 2.0 * m * row[2]);
-      stiffest_membrane_.g = std::max(stiffest_membrane_.g, m * row[3]);
-    }
-    BendingModuli stiffest;  // the stiffest column, for the step size; update_moduli() replaces it before use
-    for (int column = 0; column < 5; ++column) {
-      const BendingModuli m = bending_moduli(*fabric_.tables, fabric_.bend_multiplier, 10.0 * column);
-      stiffest = {std::max(stiffest.d11, m.d11), std::max(stiffest.d22, m.d22), 0.0, std::max(stiffest.d33, m.d33)};
-    }
-    for (std::int32_t f = 0; f < face_total; ++f) {
-      set_membrane(f, stiffest_membrane_);
-      set_bending(f, stiffest);
-    }
-  } else {
-    stiffest_membrane_ = membrane_moduli(fabric_);
-    const BendingModuli bending = bending_moduli(fabric_.bend_warp_n_m, fabric_.bend_weft_n_m, fabric_.bend_bias_n_m);
-    for (std::int32_t f = 0; f < face_total; ++f) {
-      set_membrane(f, stiffest_membrane_);
-      set_bending(f, bending);
-    }
+  BendingModuli bending = bending_moduli(fabric_.bend_warp_n_m, fabric_.bend_weft_n_m, fabric_.bend_bias_n_m);
+  stiffest_membrane_ = membrane_moduli(fabric_);
+  if (fabric_.tables) take_stiffest(bending);
+  set_all(stiffest_membrane_, bending);
+}
+
+void Elements::set_all(const MembraneModuli& membrane, const BendingModuli& bending) {
+  for (std::int32_t f = 0; f < face_count(); ++f) {
+    set_membrane(f, membrane);
+    set_bending(f, bending);
   }
+  reference_membrane_ = membrane;
+  reference_bending_ = bending;
+  free_edges_set_ = false;
 }
 
 Elements::Patch Elements::make_patch(std::int32_t f) const {
@@ -127,10 +89,10 @@ PatchPoints Elements::points_of(std::int32_t f, const Patch& patch) const {
 }
 
 void Elements::set_membrane(std::int32_t f, const MembraneModuli& m) {
-  ElementBlock& block = blocks_[f / 8];
+  ElementBlock& block = blocks_[f / kElementLanes];
   const double scale = topology_->area[f] / unit_;
   const double values[4] = {m.c11, m.c12, m.c22, m.g};
-  for (int k = 0; k < 4; ++k) block.stiffness[k][f % 8] = static_cast<float>(scale * values[k]);
+  for (int k = 0; k < 4; ++k) block.stiffness[k][f % kElementLanes] = static_cast<float>(scale * values[k]);
 }
 
 void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
@@ -139,97 +101,13 @@ void Elements::set_bending(std::int32_t f, const BendingModuli& m) {
   const double root_unit = std::sqrt(unit_);
   for (int row = 0; row < 3; ++row)
     for (int k = 1; k < 6; ++k)
-      blocks_[f / 8].bend[row][k - 1][f % 8] = static_cast<float>(factors_[f][row][k] * root_unit);
+      blocks_[f / kElementLanes].bend[row][k - 1][f % kElementLanes] =
+          static_cast<float>(factors_[f][row][k] * root_unit);
 }
 
-/// One long function, because all parts of a block's computation share values that stay in registers.
-template <bool kDampStretch, bool kDampBend>
-float Elements::add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces) const {
-  const F8 half = splat(0.5f), one = splat(1.0f);
-  const F8 per_unit = splat(static_cast<float>(1.0 / unit_));
-  const F8 damp_stretch = splat(static_cast<float>(fabric_.damping_stretch_s)) * per_unit;
-  const F8 damp_bend = splat(static_cast<float>(fabric_.damping_bend_s)) * per_unit;
-  constexpr int kRates = kDampBend ? 5 : kDampStretch ? 2 : 0;
-  F8 largest = one;
-  for (const ElementBlock& block : blocks_) {
-    const auto row = [](const float(&values)[8]) { return _mm256_load_ps(values); };
-    const Fixed8 origin = load8(x, block.node[0]);
-    [[maybe_unused]] const Vec8 origin_rate = load8(v, block.node[0]);
-    Vec8 d[5];
-    [[maybe_unused]] Vec8 rate[5];
-    for (int k = 0; k < 5; ++k) {
-      d[k] = difference(load8(x, block.node[k + 1]), origin);
-      if (k < kRates) rate[k] = load8(v, block.node[k + 1]) - origin_rate;
-    }
-
-    // Membrane. F = [x_u x_v]; P = F S; force on corner i = -P grad N_i.
-    const F8 g0 = row(block.gradient[0]), g1 = row(block.gradient[1]);
-    const F8 g2 = row(block.gradient[2]), g3 = row(block.gradient[3]);
-    const Vec8 fu = fma(g1, d[1], g0 * d[0]), fv = fma(g3, d[1], g2 * d[0]);
-    [[maybe_unused]] Vec8 n;  // unit normal; early, since root and division take long
-    if constexpr (kDampBend) {
-      n = cross(fu, fv);
-      n = (one / _mm256_sqrt_ps(max8(dot(n, n), splat(1e-12f)))) * n;
-    }
-    const F8 uu = dot(fu, fu), vv = dot(fv, fv);
-    F8 e11 = half * (uu - one), e22 = half * (vv - one), shear = dot(fu, fv);
-    {
-      // Larger eigenvalue of F^T F.
-      const F8 mean = half * (uu + vv), apart = half * (uu - vv);
-      largest = max8(largest, mean + _mm256_sqrt_ps(fma(apart, apart, shear * shear)));
-    }
-    if constexpr (kDampStretch) {
-      const F8 s = damp_stretch;
-      const Vec8 ru = fma(g1, rate[1], g0 * rate[0]), rv = fma(g3, rate[1], g2 * rate[0]);
-      e11 = fma(s, dot(fu, ru), e11);
-      e22 = fma(s, dot(fv, rv), e22);
-      shear = fma(s, dot(fu, rv) + dot(fv, ru), shear);
-    }
-    const F8 c12 = row(block.stiffness[1]);
-    const F8 s11 = fma(row(block.stiffness[0]), e11, c12 * e22);
-    const F8 s22 = fma(row(block.stiffness[2]), e22, c12 * e11);
-    const F8 s12 = row(block.stiffness[3]) * shear;
-    const Vec8 pu = fma(s12, fv, s11 * fu), pv = fma(s22, fv, s12 * fu);
-    Vec8 out[6];
-    out[1] = fma(g2, pv, g0 * pu);
-    out[2] = fma(g3, pv, g1 * pu);
-
-    // Bending: y_k = sum_j w_kj (x_j - x_0), force on node j = -sum_k w_kj y_k. Weights carry sqrt(unit) each way.
-    Vec8 y[3];
-    for (int k = 0; k < 3; ++k) {
-      y[k] = row(block.bend[k][0]) * d[0];
-      for (int j = 1; j < 5; ++j) y[k] = fma(row(block.bend[k][j]), d[j], y[k]);
-    }
-    if constexpr (kDampBend) {
-      // Only along the normal, where curvature lies. A rigid rotation changes y across the normal and is not damped.
-      F8 along[5];
-      for (int k = 0; k < 5; ++k) along[k] = dot(rate[k], n);
-      for (int k = 0; k < 3; ++k) {
-        F8 bending = row(block.bend[k][0]) * along[0];
-        for (int j = 1; j < 5; ++j) bending = fma(row(block.bend[k][j]), along[j], bending);
-        y[k] = fma(damp_bend * bending, n, y[k]);
-      }
-    }
-    for (int j = 1; j < 6; ++j) {
-      if (j < 3)
-        out[j] = fma(row(block.bend[0][j - 1]), y[0], out[j]);
-      else
-        out[j] = row(block.bend[0][j - 1]) * y[0];
-      for (int k = 1; k < 3; ++k) out[j] = fma(row(block.bend[k][j - 1]), y[k], out[j]);
-    }
-    out[0] = ((out[1] + out[2]) + (out[3] + out[4])) + out[5];
-    add8(forces, block.node[0], out[0]);
-    for (int j = 1; j < 6; ++j) subtract8(forces, block.node[j], out[j]);
-  }
-  alignas(32) float lanes[8];
-  _mm256_store_ps(lanes, largest);
-  return *std::max_element(lanes, lanes + 8);
-}
-
-float Elements::add_forces(const Fixed4* x, const Float4* v, Float4* forces) const {
-  const bool stretch = fabric_.damping_stretch_s > 0.0, bend = fabric_.damping_bend_s > 0.0;
-  if (stretch) return bend ? add_forces_impl<true, true>(x, v, forces) : add_forces_impl<true, false>(x, v, forces);
-  return bend ? add_forces_impl<false, true>(x, v, forces) : add_forces_impl<false, false>(x, v, forces);
+float Elements::add_forces(const Fixed4* x, const Float4* v, Float4* forces, bool wide) const {
+  const ForceArguments arguments{blocks_, unit_, fabric_.damping_stretch_s, fabric_.damping_bend_s, x, v, forces};
+  return wide ? add_forces_wide(arguments) : add_forces_narrow(arguments);
 }
 
 std::array<double, 3> Elements::strain(const Double4* x, std::int32_t f) const {
@@ -248,32 +126,10 @@ double Elements::principal_strain(const Double4* x, std::int32_t f) const {
   return std::max(stretch(mean + radius), stretch(mean - radius));
 }
 
-void Elements::update_moduli(const Double4* x) {
-  for (std::int32_t f = 0; f < face_count(); ++f) {
-    const auto e = strain(x, f);
-    set_membrane(f, membrane_moduli(*fabric_.tables, fabric_.stretch_multiplier, e[0], e[1], e[2]));
-    const Patch& patch = patches_[f];
-    double square = 0.0;
-    constexpr double kWeight[3] = {1.0, 1.0, 2.0};
-    for (int row = 0; row < 3; ++row) {
-      Eigen::Vector3d second = Eigen::Vector3d::Zero();
-      for (int k = 0; k < 6; ++k) {
-        if (k >= 3 && patch.ghost[k - 3]) continue;
-        const Double4 &p = x[patch.node[k]], &o = x[patch.node[0]];
-        second += patch.second[row][k] * Eigen::Vector3d(p.x - o.x, p.y - o.y, p.z - o.z);
-      }
-      square += kWeight[row] * second.squaredNorm();
-    }
-    const bool boundary = patch.ghost[0] || patch.ghost[1] || patch.ghost[2];
-    // At a free edge the unconstrained second derivatives are unknown: the table's first column.
-    set_bending(f, bending_moduli(*fabric_.tables, fabric_.bend_multiplier, boundary ? 0.0 : std::sqrt(square)));
-  }
-}
-
 void Elements::membrane_stiffness(const std::vector<std::array<double, 2>>& u,
                                   std::vector<std::array<double, 2>>& out) const {
   std::fill(out.begin(), out.end(), std::array<double, 2>{0.0, 0.0});
-  const MembraneModuli& m = stiffest_membrane_;
+  const MembraneModuli& m = reference_membrane_;
   for (std::int32_t f = 0; f < face_count(); ++f) {
     const auto& face = topology_->faces[f];
     const auto& g = gradient_[f];

@@ -4,6 +4,8 @@
 #include <vector>
 
 #include "bending_patch.hpp"
+#include "element_block.hpp"
+#include "forces.hpp"
 #include "simd.hpp"
 #include "topology.hpp"
 #include "weft/material.hpp"
@@ -27,14 +29,6 @@ BendingModuli bending_moduli(double warp, double weft, double bias);
 /// the direction of the edge, which is the bend axis: row 0 (edge along warp) is bending along weft.
 BendingModuli bending_moduli(const MaterialTables& tables, double multiplier, double curvature);
 
-/// Eight triangles, lane by lane. Padding lanes have zero stiffness and vertex 0.
-struct alignas(32) ElementBlock {
-  Offset node[6][8];      ///< the triangle's corners, then the vertex across from each (or corner 0: weight 0)
-  float gradient[4][8];   ///< u from edges 1, 2; v from edges 1, 2: x_u = g0 (x1 - x0) + g1 (x2 - x0); times unit
-  float stiffness[4][8];  ///< area (c11, c12, c22, g) / unit, N m
-  float bend[3][5][8];    ///< row k: sqrt(area eigenvalue) times second derivative, of nodes 1..5 relative to node 0
-};
-
 /// The internal forces: constant-strain membrane triangles and six-node bending patches.
 ///
 /// Membrane: Green strain E = (F^T F - 1)/2 of the linear triangle, St. Venant-Kirchhoff, moduli above.
@@ -51,9 +45,17 @@ class Elements {
   double unit() const { return unit_; }
   /// forces += internal forces, N. velocities are read only when the fabric is damped.
   /// @return the largest squared principal stretch of any element, at least 1.
-  float add_forces(const Fixed4* x, const Float4* v, Float4* forces) const;
+  /// @param wide sixteen elements at a time instead of eight; the bits are the same.
+  float add_forces(const Fixed4* x, const Float4* v, Float4* forces, bool wide = has_wide_lanes()) const;
+  /// Tables only: the moduli of no strain and curvature become those that Growth refers to, and act, unless they leave
+  /// some deformation free. Before, Growth refers to an upper bound of all.
+  void refer_to_rest();
+  /// At most so many times as stiff as the reference is any element, at least 1.
+  struct Growth {
+    double membrane = 1.0, bending = 1.0;
+  };
   /// Tables only: moduli from the present strain and curvature (secant, lagged to this call).
-  void update_moduli(const Double4* x);
+  Growth update_moduli(const Double4* x);
   /// Raises the fabric's stiffness-proportional dampings to these, s, where they are smaller.
   void damp_at_least(double stretch_s, double bend_s) {
     fabric_.damping_stretch_s = std::max(fabric_.damping_stretch_s, stretch_s);
@@ -68,7 +70,8 @@ class Elements {
   }
   bool nonlinear() const { return fabric_.tables != nullptr; }
 
-  /// Linearised stiffness at the flat rest shape: out = K u for in-plane displacements u [V][2].
+  /// Linearised stiffness at the flat rest shape: out = K u for in-plane displacements u [V][2]. With tables, of the
+  /// moduli that Growth refers to.
   void membrane_stiffness(const std::vector<std::array<double, 2>>& u, std::vector<std::array<double, 2>>& out) const;
   /// out = K w, bending; the same for each coordinate.
   void bending_stiffness(const std::vector<double>& w, std::vector<double>& out) const;
@@ -90,9 +93,12 @@ class Elements {
   Patch make_patch(std::int32_t face) const;
   PatchPoints points_of(std::int32_t face, const Patch& patch) const;
   void set_bending(std::int32_t face, const BendingModuli& moduli);
+  void set_bending_inside(std::int32_t face, const BendingModuli& moduli);
   void set_membrane(std::int32_t face, const MembraneModuli& moduli);
-  template <bool kDampStretch, bool kDampBend>
-  float add_forces_impl(const Fixed4* x, const Float4* v, Float4* forces) const;
+  void set_all(const MembraneModuli& membrane, const BendingModuli& bending);
+  void take_stiffest(BendingModuli& bending);
+  /// |x_uu|^2 + |x_vv|^2 + 2 |x_uv|^2, 1/m^2, of a patch without free edges.
+  static double square_curvature(const Double4* x, const Patch& patch);
 
   const Topology* topology_;
   Fabric fabric_;
@@ -101,7 +107,9 @@ class Elements {
   std::vector<Patch> patches_;
   std::vector<ElementBlock> blocks_;
   std::vector<PatchRows> factors_;  ///< [f] rows of sqrt(area D) second, double
-  MembraneModuli stiffest_membrane_;
+  MembraneModuli stiffest_membrane_, reference_membrane_;
+  BendingModuli reference_bending_;
+  bool free_edges_set_ = false;  ///< tables only: the bending at free edges, which never changes
 };
 
 }  // namespace weft::cloth

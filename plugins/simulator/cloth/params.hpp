@@ -8,6 +8,7 @@ struct Params {
   std::int64_t max_substeps = 4000;
   double step_safety = 0.8;
   double damping_least_step = 0.9;
+  double table_bend_damping_s = 0.01;
   double inertia_length_m = 0.0;
   double fine_inertia_length_m = 0.017;
   double fine_stretch_damping_s = 1e-4;
@@ -27,6 +28,9 @@ struct Params {
     v("damping_least_step", damping_least_step, range(0.0, 0.95),
       "Stiffness-proportional damping may shorten the substep to this part of the undamped one; stronger damping is "
       "reduced. 0: the fabric's damping in full, however short the substep.");
+    v("table_bend_damping_s", table_bend_damping_s, range(0.0, 1.0, "s"),
+      "Least stiffness-proportional damping of bending for fabrics with tables, whose files say nothing of it, so that "
+      "they come to rest. Meshes that count as fine have fine_bend_damping_s instead.");
     v("inertia_length_m", inertia_length_m, range(0.0, 0.1, "m"),
       "Waves shorter than about four times this length get more inertia, so that finer meshes need no more substeps "
       "(selective mass scaling). Shapes at rest do not depend on it. 0: no added inertia.");

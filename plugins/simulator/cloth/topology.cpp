@@ -29,6 +29,16 @@ Topology::Topology(const Garment& garment) {
   list_faces_of_vertices();
 }
 
+bool Topology::is_of(const Garment& garment) const {
+  if (garment.vertex_count() != vertices || garment.face_count() != static_cast<Index>(faces.size())) return false;
+  for (std::int32_t i = 0; i < vertices; ++i)
+    if (rest[i][0] != garment.rest(i, 0) || rest[i][1] != garment.rest(i, 1)) return false;
+  for (std::size_t f = 0; f < faces.size(); ++f)
+    for (int i = 0; i < 3; ++i)
+      if (faces[f][i] != garment.faces(static_cast<Index>(f), i)) return false;
+  return true;
+}
+
 void Topology::measure_faces() {
   area.resize(faces.size());
   vertex_area.assign(vertices, 0.0);

@@ -10,6 +10,8 @@ namespace weft::cloth {
 /// Connectivity of the rest mesh. Immutable after construction.
 struct Topology {
   explicit Topology(const Garment& garment);
+  /// Whether the garment has the same rest shape and faces.
+  bool is_of(const Garment& garment) const;
 
   std::int32_t vertices = 0;
   std::vector<std::array<std::int32_t, 3>> faces;
