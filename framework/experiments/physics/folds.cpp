@@ -6,9 +6,9 @@
 #include <limits>
 #include <numbers>
 
-#include "sdk/cpu_time.hpp"
 #include "experiments/physics/sheets.hpp"
 #include "meshes/intersections.hpp"
+#include "sdk/cpu_time.hpp"
 #include "simulation/fold.hpp"
 #include "weft/error.hpp"
 #include "weft/random.hpp"
