@@ -210,7 +210,7 @@ TEST(AblationPlan, ManySeedsAreReadAtOnceAndNumbersThatOverflowAreRefused) {
   const std::string factors = "factors: {planning.instances: [1]}\n";
   EXPECT_EQ(files.plan(factors + "seeds: {first: 5, count: 1000000}").seeds.size(), 1'000'000u);
   EXPECT_THAT(files.refusal(factors + "seeds: {first: 9223372036854775807, count: 2}"),
-              HasSubstr("must be in [0, 9e18]"));
+              testing::HasSubstr("must be in [0, 9e18]"));
 }
 
 }  // namespace
