@@ -14,7 +14,7 @@ namespace {
 constexpr double kNever = std::numeric_limits<double>::infinity();
 constexpr double kSameMaterial = 1e-3;  // change of a normalised property below which the simulated past is kept
 constexpr double kSameShape = 2e-5;     // m: pulling the twin by less than this would only drop its contacts
-constexpr double kStalledGain = 0.05;   // share of the loss; a correction that gains less has come to its end
+constexpr double kStalledGain = 0.05;   // share of the loss; a correction that gains less, in a small region, has ended
 constexpr double kLaterRadius = 0.15;   // of the first radius: with which a later correction begins at least
 constexpr double kWorse_mm = 0.1;       // a forecast that got worse by more is corrected again
 
@@ -216,7 +216,8 @@ PlanChain::Outcome PlanChain::corrected(const PlanRequest& request, CorrectionRe
   outcome.radius = result.radius;
   if (!std::isfinite(result.loss)) return outcome;
   outcome.corrected = true;
-  outcome.stalled = result.loss > (1.0 - kStalledGain) * result.steps.front().loss;
+  outcome.stalled = result.loss > (1.0 - kStalledGain) * result.steps.front().loss &&
+                    result.radius < kLaterRadius * params_.radius;
   outcome.record.corrected_mm = result.error_mm;
   Plan plan = planner_->plan_of(request, result.point);
   for (std::size_t j = 0; j < plan.shapes.size(); ++j) plan.shapes[j].mean = result.shapes[j];

@@ -489,7 +489,7 @@ TEST(Config, RefusesTextThatTakesFarMoreMemoryThanItself) {
   std::string repeated = "a: &a " + std::string(1'000'000, 'x') + "\nb: [";
   for (int i = 0; i < 100; ++i) repeated += "*a, ";
   EXPECT_THAT(parse_refusal(repeated + "*a]\n"), HasSubstr("holds more than 64 MB of text"));
-  std::string below = std::string(100'000, 'k') + ": [";
+  std::string below = "? " + std::string(100'000, 'k') + "\n: [";
   for (int i = 0; i < 1000; ++i) below += "1, ";
   EXPECT_THAT(parse_refusal(below + "1]\n"), HasSubstr("holds more than 64 MB of text"));
   std::string many = "[1";

@@ -128,7 +128,7 @@ TEST_F(ReportFolder, CasesCanBeLookedAt) {
   const auto write_cases = [&](double somewhere, std::int64_t goal) {
     auto file = Hdf5File::create(folder_ / "cases.h5");
     file.write("/garment/name", std::string("triangle"));
-    file.write("/garment/rest", session.start);
+    file.write("/garment/rest", Controls(session.start.leftCols(2)));
     const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = session.faces.cast<std::int64_t>();
     file.write("/garment/faces", faces);
     const std::vector<double> goals(9, 0.0), finals(18, somewhere);
