@@ -216,8 +216,8 @@ PlanChain::Outcome PlanChain::corrected(const PlanRequest& request, CorrectionRe
   outcome.radius = result.radius;
   if (!std::isfinite(result.loss)) return outcome;
   outcome.corrected = true;
-  outcome.stalled = result.loss > (1.0 - kStalledGain) * result.steps.front().loss &&
-                    result.radius < kLaterRadius * params_.radius;
+  outcome.stalled =
+      result.loss > (1.0 - kStalledGain) * result.steps.front().loss && result.radius < kLaterRadius * params_.radius;
   outcome.record.corrected_mm = result.error_mm;
   Plan plan = planner_->plan_of(request, result.point);
   for (std::size_t j = 0; j < plan.shapes.size(); ++j) plan.shapes[j].mean = result.shapes[j];
