@@ -318,7 +318,7 @@ TEST(Program, PlanAndEstimateAloneDoWhatTheSessionDid) {
   const auto centre = recorded.read("/estimates/centre");
   ASSERT_EQ(4 * estimates.size(), centre.size());
   for (std::size_t i = 0; i < centre.size(); ++i)  // frames are recorded in single precision
-    EXPECT_NEAR(estimates[i / 4]["centre"][i % 4].get<double>(), centre[i], 1e-3) << i;
+    EXPECT_NEAR(estimates[i / 4]["centre"][i % 4].get<double>(), centre[i], 5e-3) << i;
   command("estimate", "--set planning.horizon=8");
   EXPECT_GE(json("estimate/estimate.json")["estimates"].size(), 4u);
 }
