@@ -1,5 +1,6 @@
 #include <unistd.h>
 
+#include <clocale>
 #include <csignal>
 #include <cstdio>
 #include <exception>
@@ -31,6 +32,8 @@ std::string unknown_command(const CLI::App& app) {
 int main(int argc, char** argv) {
   using namespace weft;
   using namespace weft::app;
+  // Numbers are read and written with a point, whatever locale a library that was loaded before has set.
+  std::setlocale(LC_NUMERIC, "C");
   CLI::App app{"weft: plans how two hands fold a piece of cloth whose fabric they do not know"};
   app.require_subcommand(1);
   app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (" WEFT_COMMIT ")"));
