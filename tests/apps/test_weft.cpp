@@ -317,8 +317,9 @@ TEST(Program, PlanAndEstimateAloneDoWhatTheSessionDid) {
   const nlohmann::json estimates = json("estimate/estimate.json")["estimates"];
   const auto centre = recorded.read("/estimates/centre");
   ASSERT_EQ(4 * estimates.size(), centre.size());
-  for (std::size_t i = 0; i < centre.size(); ++i)  // frames are recorded in single precision
-    EXPECT_NEAR(estimates[i / 4]["centre"][i % 4].get<double>(), centre[i], 5e-3) << i;
+  // Frames are recorded in single precision. Another noise or history would move an estimate by tenths.
+  for (std::size_t i = 0; i < centre.size(); ++i)
+    EXPECT_NEAR(estimates[i / 4]["centre"][i % 4].get<double>(), centre[i], 0.02) << i;
   command("estimate", "--set planning.horizon=8");
   EXPECT_GE(json("estimate/estimate.json")["estimates"].size(), 4u);
 }
