@@ -73,6 +73,24 @@ SavedArm rehearse(const AblationPlan& plan, SweepArm& arm, const PluginRegistry&
   }
 }
 
+/// The files with the statistics, and their tables.
+void write_tables(const Context& context, const AblationPlan& plan, const std::vector<SweepRow>& rows,
+                  const std::filesystem::path& folder, int threads) {
+  const std::string json = ablation_json(plan, rows), times = ablation_times_json(plan, rows);
+  write_text(folder / "ablation.csv", ablation_csv(plan, rows));
+  write_text(folder / "ablation.json", json);
+  write_text(folder / "times.csv", ablation_times_csv(plan, rows));
+  write_text(folder / "times.json", times_json(threads, {{"ablation.json", times}}));
+  if (context.json) context.output() << with_times(json, times);
+  std::vector<std::string> metrics = {"error_mm",        "silhouette_iou", "success_10mm",
+                                      "first_plan_loss", "evaluations",    "cpu_seconds"};
+  if (plan.measure == "physics") {
+    metrics = sweep_metrics(rows);
+    for (const auto& name : sweep_times(rows)) metrics.push_back(name);
+  }
+  for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));
+}
+
 int ablate(const Context& context, const std::string& file, const WorkOptions& work) {
   ConfigNode config = ConfigNode::load(file);
   for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
@@ -139,19 +157,7 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
               counted(plan.seeds.size(), plan.cases.empty() ? "seed" : "case") + ", " + std::to_string(options.jobs) +
               " at a time");
   const auto rows = run_sweep(plan, options);
-  const std::string json = ablation_json(plan, rows), times = ablation_times_json(plan, rows);
-  write_text(folder / "ablation.csv", ablation_csv(plan, rows));
-  write_text(folder / "ablation.json", json);
-  write_text(folder / "times.csv", ablation_times_csv(plan, rows));
-  write_text(folder / "times.json", times_json(host->threads(), {{"ablation.json", times}}));
-  if (context.json) context.output() << with_times(json, times);
-  std::vector<std::string> metrics = {"error_mm",        "silhouette_iou", "success_10mm",
-                                      "first_plan_loss", "evaluations",    "cpu_seconds"};
-  if (plan.measure == "physics") {
-    metrics = sweep_metrics(rows);
-    for (const auto& name : sweep_times(rows)) metrics.push_back(name);
-  }
-  for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));
+  write_tables(context, plan, rows, folder, host->threads());
   say_mixed(context, plan, rows, earlier);
   write_page(context, folder);
   context.say("results in " + folder.string());

@@ -1,6 +1,5 @@
 #include "weft/config.hpp"
 
-#include <yaml-cpp/eventhandler.h>
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
@@ -16,6 +15,7 @@
 #include <utility>
 
 #include "sdk/files.hpp"
+#include "sdk/yaml_limits.hpp"
 #include "sdk/yaml_lines.hpp"
 
 #include "sdk/config_data.hpp"
@@ -114,52 +114,15 @@ ConfigNode convert(const YAML::Node& node, Source& source, const std::string& pa
       {kind, std::move(text), is_quoted, std::move(entries), std::move(items), source.name, line, source.folder, path});
 }
 
-/// Counts values before yaml-cpp makes a tree of them, which takes a few hundred bytes for each.
-class ValueCounter final : public YAML::EventHandler {
- public:
-  explicit ValueCounter(const Source& source) : source_(source) {}
-  void OnDocumentStart(const YAML::Mark& mark) override { count(mark); }
-  void OnDocumentEnd() override {}
-  void OnNull(const YAML::Mark& mark, YAML::anchor_t) override { count(mark); }
-  void OnAlias(const YAML::Mark& mark, YAML::anchor_t) override { count(mark); }
-  void OnScalar(const YAML::Mark& mark, const std::string&, YAML::anchor_t, const std::string&) override {
-    count(mark);
-  }
-  void OnSequenceStart(const YAML::Mark& mark, const std::string&, YAML::anchor_t, YAML::EmitterStyle::value) override {
-    count(mark);
-  }
-  void OnSequenceEnd() override {}
-  void OnMapStart(const YAML::Mark& mark, const std::string&, YAML::anchor_t, YAML::EmitterStyle::value) override {
-    count(mark);
-  }
-  void OnMapEnd() override {}
-
- private:
-  void count(const YAML::Mark& mark) {
-    if (++values_ <= 2 * kMaxNodes) return;  // keys count as well
-    fail_at(source_.name, source_.line(mark), "holds more than " + std::to_string(kMaxNodes) + " values");
-  }
-  const Source& source_;
-  std::size_t values_ = 0;
-};
-
 ConfigNode parse_text(std::string_view text, Source& source) {
   if (std::cmp_greater(text.size(), kMaxBytes))
     fail_at(source.name, 0, "is larger than " + std::to_string(kMaxBytes / 1'000'000) + " MB");
   if (const int line = line_that_is_not_utf8(text)) fail_at(source.name, line, "is not UTF-8 text");
   source.lines = yaml_lines(text);
   try {
-    if (text.size() > kMaxNodes) {  // less text cannot hold more values
-      // yaml-cpp keeps all open brackets, which may begin a key, before it reports the first.
-      if (std::cmp_greater(std::count_if(text.begin(), text.end(), [](char c) { return c == '[' || c == '{'; }),
-                           kMaxNodes))
-        fail_at(source.name, 0, "holds more than " + std::to_string(kMaxNodes) + " brackets");
-      ValueCounter counter(source);
-      std::istringstream stream{std::string(text)};
-      YAML::Parser parser(stream);
-      while (parser.HandleNextDocument(counter)) {
-      }
-    }
+    limit_yaml(text, kMaxNodes, [&](const YAML::Mark* mark, const std::string& message) {
+      fail_at(source.name, mark == nullptr ? 0 : source.line(*mark), message);
+    });
     const auto documents = YAML::LoadAll(std::string(text));
     if (documents.size() > 1) fail_at(source.name, 0, "holds several YAML documents, must be one");
     if (documents.empty()) return Access::make({.file = source.name, .folder = source.folder});
