@@ -4,8 +4,12 @@
 
 // From here on, functions are compiled for AVX-512. All of them have internal linkage. So no other file gets one of
 // them, as it might get an inline function of a header if the whole file were compiled so.
+#ifdef __clang__
+#pragma clang attribute push(__attribute__((target("avx512f,avx512vl,avx512dq,avx512bw"))), apply_to = function)
+#else
 #pragma GCC push_options
 #pragma GCC target("avx512f,avx512vl,avx512dq,avx512bw,prefer-vector-width=512")
+#endif
 
 namespace weft::cloth {
 namespace {
@@ -103,7 +107,11 @@ namespace weft::cloth {
 float add_forces_wide(const ForceArguments& arguments) { return add_forces(arguments); }
 
 }  // namespace weft::cloth
+#ifdef __clang__
+#pragma clang attribute pop
+#else
 #pragma GCC pop_options
+#endif
 
 namespace weft::cloth {
 
