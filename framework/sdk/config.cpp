@@ -123,10 +123,11 @@ ConfigNode parse_text(std::string_view text, Source& source) {
     limit_yaml(text, kMaxNodes, [&](const YAML::Mark* mark, const std::string& message) {
       fail_at(source.name, mark == nullptr ? 0 : source.line(*mark), message);
     });
-    const auto documents = YAML::LoadAll(std::string(text));
-    if (documents.size() > 1) fail_at(source.name, 0, "holds several YAML documents, must be one");
-    if (documents.empty()) return Access::make({.file = source.name, .folder = source.folder});
-    return convert(documents[0], source, "", source.line(documents[0].Mark()), 0);
+    const int documents = yaml_documents(text);
+    if (documents > 1) fail_at(source.name, 0, "holds several YAML documents, must be one");
+    if (documents == 0) return Access::make({.file = source.name, .folder = source.folder});
+    const YAML::Node document = YAML::Load(std::string(text));
+    return convert(document, source, "", source.line(document.Mark()), 0);
   } catch (const YAML::Exception& error) {
     const int line = source.line(error.mark);
     if (const int open = line_with_open_quote(source.lines))

@@ -4,6 +4,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
+#include <limits>
 #include <sstream>
 
 namespace weft {
@@ -52,6 +53,16 @@ void limit_yaml(std::string_view text, std::size_t most, const Fail& fail) {
   YAML::Parser parser(stream);
   while (parser.HandleNextDocument(counter)) {
   }
+}
+
+int yaml_documents(std::string_view text) {
+  const Fail never;
+  ValueCounter ignored(std::numeric_limits<std::size_t>::max() / 2, never);
+  std::istringstream stream{std::string(text)};
+  YAML::Parser parser(stream);
+  int documents = 0;
+  while (documents < 2 && parser.HandleNextDocument(ignored)) ++documents;
+  return documents;
 }
 
 }  // namespace weft

@@ -17,4 +17,8 @@ namespace weft {
 void limit_yaml(std::string_view text, std::size_t most,
                 const std::function<void(const YAML::Mark* mark, const std::string& message)>& fail);
 
+/// How many documents a YAML text begins: 0, 1, or 2 for more. YAML::LoadAll() would read some texts that are not YAML as
+/// documents without end. @throws YAML::Exception for text that is not YAML.
+int yaml_documents(std::string_view text);
+
 }  // namespace weft

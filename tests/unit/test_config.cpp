@@ -485,6 +485,10 @@ TEST(Config, CopiesDoNotChangeTheOriginal) {
   EXPECT_FALSE(fold.without("pins").has("pins"));
 }
 
+TEST(Config, RefusesTextThatYamlReadsWithoutEnd) {
+  EXPECT_THAT(parse_refusal(", a: {b: 0}}\nc: {d: [e]}\n"), Not(testing::IsEmpty()));
+}
+
 TEST(Config, RefusesTextThatTakesFarMoreMemoryThanItself) {
   std::string repeated = "a: &a " + std::string(1'000'000, 'x') + "\nb: [";
   for (int i = 0; i < 100; ++i) repeated += "*a, ";
