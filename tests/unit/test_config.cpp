@@ -486,7 +486,7 @@ TEST(Config, CopiesDoNotChangeTheOriginal) {
 }
 
 TEST(Config, RefusesTextThatYamlReadsWithoutEnd) {
-  EXPECT_THAT(parse_refusal(", a: {b: 0}}\nc: {d: [e]}\n"), Not(testing::IsEmpty()));
+  EXPECT_THAT(parse_refusal(", a: {b: 0}}\nc: {d: [e]}\n"), testing::Not(testing::IsEmpty()));
 }
 
 TEST(Config, RefusesTextThatTakesFarMoreMemoryThanItself) {
