@@ -292,6 +292,7 @@ std::vector<std::string> Identity::changes_since(const Identity& earlier) const 
   if (hash_ == earlier.hash_) return {};
   if (!earlier.is_known())
     return {"it was made by an earlier version of weft, which did not record what its results belong to"};
+  if (!is_known()) return {"what this belongs to is not known"};
   const ordered_json was = ordered_json::parse(earlier.json_), is = ordered_json::parse(json_);
   std::vector<std::string> changes;
   std::map<std::string, std::string> old_keys, new_keys;
