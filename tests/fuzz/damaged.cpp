@@ -33,13 +33,14 @@ std::unique_ptr<ChildProcess> start_reader() {
   return std::make_unique<ChildProcess>(options);
 }
 
-/// Whether a sanitizer's report begins in libhdf5: a frame of it comes before any of weft.
+/// Whether a sanitizer's report begins in libhdf5: a frame of it comes before any of weft. (The sanitizer's own malloc() lies
+/// in the program of weft, but is no function of it.)
 bool is_of_libhdf5(const std::string& report) {
   std::istringstream lines(report);
   for (std::string line; std::getline(lines, line);) {
     if (line.find("    #") == std::string::npos) continue;
     if (line.find("libhdf5") != std::string::npos) return true;
-    if (line.find("weft") != std::string::npos) return false;
+    if (line.find("weft::") != std::string::npos) return false;
   }
   return false;
 }
