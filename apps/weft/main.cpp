@@ -6,10 +6,10 @@
 #include <exception>
 
 #include "commands.hpp"
+#include "commit.hpp"
 #include "loader/where.hpp"
 #include "processes/crash_report.hpp"
 #include "weft/config.hpp"
-#include "weft_commit.hpp"
 
 namespace {
 
@@ -36,7 +36,7 @@ int main(int argc, char** argv) {
   std::setlocale(LC_NUMERIC, "C");
   CLI::App app{"weft: plans how two hands fold a piece of cloth whose fabric they do not know"};
   app.require_subcommand(1);
-  app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (" WEFT_COMMIT ")"));
+  app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (") + commit() + ")");
   Context context;
   register_run(app, context);
   register_plan(app, context);

@@ -5,11 +5,11 @@
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <set>
+#include "commit.hpp"
 
 #include "identity/sha256.hpp"
 #include "report/page.hpp"
 #include "sdk/files.hpp"
-#include "weft_commit.hpp"
 
 namespace weft::app {
 
@@ -51,7 +51,7 @@ std::string provenance_json(const PluginRegistry& registry, std::uint64_t seed, 
                        {"sha256", sha256_of_file(entry.file)}});
   }
   nlohmann::ordered_json json{
-      {"weft", WEFT_VERSION}, {"commit", WEFT_COMMIT}, {"compiler", __VERSION__}, {"seed", seed}, {"plugins", plugins}};
+      {"weft", WEFT_VERSION}, {"commit", commit()}, {"compiler", __VERSION__}, {"seed", seed}, {"plugins", plugins}};
   if (identity.is_known()) json["identity"] = nlohmann::ordered_json::parse(identity.to_json());
   return json.dump(2) + "\n";
 }
