@@ -5,8 +5,8 @@
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <set>
-#include "commit.hpp"
 
+#include "commit.hpp"
 #include "identity/sha256.hpp"
 #include "report/page.hpp"
 #include "sdk/files.hpp"
