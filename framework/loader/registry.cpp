@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <boost/dll/shared_library.hpp>
+#include <clocale>
 #include <cstdlib>
 #include <map>
 #include <mutex>
@@ -73,6 +74,8 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
     const std::string name = "library " + file.string();
     const PluginCall entry(name.c_str(), "loading");
     library->handle.load(boost::filesystem::path(file.string()), dll::load_mode::rtld_now | dll::load_mode::rtld_local);
+    // A library that it needs may have set the user's locale; weft writes numbers with a point.
+    std::setlocale(LC_NUMERIC, "C");
   } catch (const std::exception& failure) {
     detail = failure.what();
   }

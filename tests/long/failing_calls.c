@@ -6,7 +6,8 @@
  *   FAIL_AFTER    1: all later calls fail too, as on a disk that stays full
  *   FAIL_FOLDER   only calls on files below this folder count: no pipe, no device
  *   FAIL_COUNTER  file of eight bytes that counts the calls of all processes together
- *   SET_LOCALE    1: the program runs in the locale of the environment, as when a library calls setlocale()
+ *   SET_LOCALE    1: the program runs in the locale of the environment, as when a library calls setlocale(): at its
+ *                 start and after each dlopen()
  *
  * A write that fails has written half of its bytes before, as a full disk does. */
 #define _GNU_SOURCE
@@ -28,6 +29,13 @@ static const char *call, *folder;
 static long fail_at, fail_errno;
 static int fail_after;
 static _Atomic uint64_t *counter;
+
+void *dlopen(const char *file, int mode) {
+  void *(*real)(const char *, int) = (void *(*)(const char *, int))dlsym(RTLD_NEXT, "dlopen");
+  void *library = real(file, mode);
+  if (getenv("SET_LOCALE") != NULL) setlocale(LC_ALL, "");
+  return library;
+}
 
 __attribute__((constructor)) static void read_environment(void) {
   if (getenv("SET_LOCALE") != NULL && setlocale(LC_ALL, "") == NULL) abort();
