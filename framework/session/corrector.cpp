@@ -52,7 +52,7 @@ class Corrector::Pool {
     std::vector<Proposal> proposals;
     const Simulated* leader = best();
     const bool is_poor = leader == nullptr || leader->error_mm > owner_.params_.pool_mm || request_.is_new;
-    if (leader != nullptr && is_poor && waiting_.empty() && has_more_) {
+    if (is_poor && waiting_.empty() && has_more_) {
       has_more_ = false;
       waiting_ = request_.more();
     }

@@ -82,14 +82,22 @@ std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::first(const PlanRequ
   return {plan_, record};
 }
 
-std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::next(const std::function<MaterialKnowledge()>& knowledge) {
+std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::next(const PlanRequest& request,
+                                                                 const std::function<MaterialKnowledge()>& knowledge) {
   plan_ = rest_of(plan_);
   std::optional<CorrectionRecord> record;
   const Index now = executed_.rows();
   if (pending_ && pending_->due == now) record = finish();
-  if (!pending_ && params_.later_simulations > 0) {
+  // Until the first correction the network plans again, whatever the number of later simulations.
+  if (!pending_ && (params_.later_simulations > 0 || !std::isfinite(error_mm_))) {
     start(knowledge);
     if (pending_ && pending_->due == now) record = finish();
+  }
+  if (plan_.controls.rows() == 0) {  // it ended without a release
+    PlanRequest now_known = request;
+    now_known.knowledge = knowledge_ = knowledge();
+    plan_ = planner_->plan(now_known);
+    error_mm_ = kNever;
   }
   return {plan_, record};
 }
@@ -184,9 +192,9 @@ PlanChain::Outcome PlanChain::work(const Work& work) {
     correction.simulations = correction.is_new ? params_.simulations : params_.later_simulations;
     // A plan that the last correction could not make better is only measured, unless it has got worse.
     correction.enough_mm = work.stalled ? work.error_mm + kWorse_mm : 0.0;
-    correction.more = [this, &request, &correction] {
+    correction.more = [this, &request, is_new = correction.is_new] {
       std::vector<PlanPoint> points = planner_->plan(request).points;
-      if (!correction.is_new) return points;
+      if (!is_new) return points;
       // What is known now may ask for another fold than the one that was begun.
       PlanRequest afresh = request;
       afresh.warm_start.resize(0, request.warm_start.cols());

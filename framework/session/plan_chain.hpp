@@ -31,14 +31,15 @@ class PlanChain {
             Host& host);
   ~PlanChain();
 
-  /// The plan before the first segment. @param request of round 0; its knowledge is that of the corrections, unless
-  /// `next` is given other knowledge.
+  /// The plan before the first segment. @param request of round 0.
   /// @return the plan in force, and its correction if there was one.
   std::pair<Plan, std::optional<CorrectionRecord>> first(const PlanRequest& request);
   /// The plan before a later segment: the rest of the plan in force, or the corrected plan that is due now. Starts the
-  /// next correction if none runs.
-  /// @param knowledge of that correction; called once, on another thread if the host has several.
-  std::pair<Plan, std::optional<CorrectionRecord>> next(const std::function<MaterialKnowledge()>& knowledge);
+  /// next correction if none runs. A plan that ended without a release is followed by one of the network.
+  /// @param request of this round, for such a plan.
+  /// @param knowledge of the correction; called on another thread if the host has several.
+  std::pair<Plan, std::optional<CorrectionRecord>> next(const PlanRequest& request,
+                                                        const std::function<MaterialKnowledge()>& knowledge);
   /// Adds an executed segment and what was seen after it.
   void add(ConstVec control, const Observation& seen);
   /// The knowledge that the plan in force was made with.

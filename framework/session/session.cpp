@@ -245,7 +245,7 @@ class SessionRun {
     // The correction that starts now makes the plan of segment number + lag.
     const Index seen = std::min<Index>(number, number + params_.correction.lag - params_.knowledge_lag);
     const auto known = estimator_ ? chain_.knowledge_later(seen) : [this] { return setup_.knowledge; };
-    std::tie(round.plan, round.correction) = number == 0 ? plans_->first(request) : plans_->next(known);
+    std::tie(round.plan, round.correction) = number == 0 ? plans_->first(request) : plans_->next(request, known);
     round.knowledge = plans_->knowledge();
     return round;
   }

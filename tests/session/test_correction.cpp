@@ -99,6 +99,22 @@ TEST_F(Correction, WaitsUntilTheMaterialIsKnown) {
   EXPECT_FALSE(narrow.rounds.front().correction->steps.empty());
 }
 
+TEST_F(Correction, APlanThatDoesNotReleaseIsFollowedByAnother) {
+  const SessionResult result =
+      corrected({"planning={instances: 1, iterations: 0, replan_iterations: 0, horizon: 3, leeway: 0}"});
+  EXPECT_FALSE(result.rounds.front().plan.releases);
+  EXPECT_GT(result.rounds.size(), 3u);
+  EXPECT_TRUE(result.released);
+}
+
+TEST_F(Correction, TheNetworkPlansAgainUntilTheFirstCorrection) {
+  const SessionResult result = corrected({"knowledge=given", "given_centre=[0.5, 0.5, 0.5, 0.5]",
+                                          "given_width=[1, 1, 1, 1]", "correction.later_simulations=0"});
+  Index plans = 0;
+  for (const auto& round : result.rounds) plans += round.plan.evaluations > 0 ? 1 : 0;
+  EXPECT_GT(plans, 2);
+}
+
 TEST_F(Correction, TheTwinFollowsAClothThatItDoesNotKnow) {
   // It believes in another fabric. Pulled to what is seen, it forecasts the next shapes better than from the start alone.
   const std::vector<std::string> mistaken = {"knowledge=given", "given_centre=[0.4, 0.3, 0.8, 0.5]",
