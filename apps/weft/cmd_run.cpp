@@ -34,9 +34,8 @@ int run(Context& context, const std::string& file) {
       std::snprintf(corrected, sizeof(corrected), "  corrected from %.1f mm, %zu simulated%s",
                     round.correction->forecast_mm, round.correction->steps.size(),
                     round.correction->dropped ? ", dropped" : "");
-    const double seconds = round.plan.seconds + (round.correction ? round.correction->seconds : 0.0);
     std::snprintf(line, sizeof(line), "segment %2td  plan %5.2f s  %2td segments to go  predicted %5.1f mm%s%s",
-                  number + 1, seconds, round.plan.controls.rows() - 1, round.plan.predicted_error_mm,
+                  number + 1, round.seconds(), round.plan.controls.rows() - 1, round.plan.predicted_error_mm,
                   round.plan.releases ? "" : "  (no release yet)", corrected);
     context.say(line);
   };

@@ -87,7 +87,7 @@ ScoredPrediction scored_of(const ordered_json& json) {
         {exact_of(s.at(0)), exact_of(s.at(1)), exact_of(s.at(2)), exact_of(s.at(3)), exact_of(s.at(4))});
   one.settled_sigma_mm = exact_of(json.at("settled_sigma_mm"));
   const auto settled = json.at("settled").get<std::vector<double>>();
-  one.settled = Eigen::Map<const Positions>(settled.data(), static_cast<Index>(settled.size() / 3), 3);
+  one.settled = Eigen::Map<const Positions>(settled.data(), std::ssize(settled) / 3, 3);
   return one;
 }
 

@@ -143,7 +143,7 @@ PredictionEvaluation evaluate_prediction(const Predictor& predictor, const Task&
       if (host.cancelled()) break;
       result.seconds += scored.seconds;
       if (scored.failure.status != WorkStatus::done) {
-        result.failed += static_cast<Index>(count);
+        result.failed += count;
         result.failures.push_back({scored.failure, count});
         continue;
       }

@@ -347,7 +347,7 @@ class Production {
   /// @return nothing if the user asked to stop.
   std::optional<Example> make_in(WorkerProcess& child, std::int64_t index) {
     const auto fail = [&](const WorkFailure& failure) {
-      return failed_example(header_.seed, index, static_cast<Index>(header_.control_names.size()), failure);
+      return failed_example(header_.seed, index, std::ssize(header_.control_names), failure);
     };
     const WorkEnd end = child.run(
         options_.request(index), [&] { return slowest_.limits(); }, [&] { return over(); });

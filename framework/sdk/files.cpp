@@ -112,7 +112,7 @@ bool is_lfs_pointer_file(const fs::path& file) {
   char beginning[64];
   std::ifstream stream(file, std::ios::binary);
   stream.read(beginning, sizeof(beginning));
-  return is_lfs_pointer({beginning, static_cast<std::size_t>(stream.gcount())});
+  return is_lfs_pointer(std::string_view(beginning, stream.gcount()));
 }
 
 WholeFile::WholeFile(std::filesystem::path file)
@@ -156,7 +156,7 @@ void write_text(const std::filesystem::path& file, std::string_view text) {
   while (!text.empty() && problem == 0) {
     const ssize_t written = write(opened, text.data(), text.size());
     if (written >= 0)
-      text.remove_prefix(static_cast<std::size_t>(written));
+      text.remove_prefix(written);
     else if (errno != EINTR)
       problem = errno;
   }

@@ -57,10 +57,10 @@ struct CorrectionStep {
   Index release = 0;          ///< u
   bool is_candidate = false;  ///< a plan of the network, or the plan in force; false: found near a simulated plan
   double radius = 0.0;        ///< of the search that found it
-  double expected = 0.0;      ///< mm^2: loss by the predictor with the offset of the plan near which it was found
-  double loss = 0.0;          ///< mm^2, simulated; infinity: the simulation diverged, or did not release there
-  double error_mm = 0.0;      ///< simulated mean vertex distance to the goal
-  bool best = false;          ///< better than all simulated before
+  double expected = 0.0;  ///< mm^2: loss by the predictor with the offset of its neighbour; NaN: it was in force before
+  double loss = 0.0;      ///< mm^2, simulated; infinity: the simulation diverged, or did not release there
+  double error_mm = 0.0;  ///< simulated mean vertex distance to the goal
+  bool best = false;      ///< better than all simulated before
 };
 
 struct CorrectionRequest {

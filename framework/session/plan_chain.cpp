@@ -60,7 +60,6 @@ std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::first(const PlanRequ
     correction.candidates = plan_.points;
     correction.simulations = params_.simulations;
     correction.radius = params_.radius;
-    const double seconds = plan_.seconds;
     const Plan network = plan_;
     Outcome outcome = corrected(request, std::move(correction), track_.front(), 0);
     if (outcome.plan) {
@@ -72,12 +71,12 @@ std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::first(const PlanRequ
       plan_.instance = network.instance;
       plan_.iterations = network.iterations;
       plan_.evaluations = network.evaluations;
+      plan_.seconds = network.seconds;
       error_mm_ = outcome.record.corrected_mm;
       radius_ = outcome.radius;
     }
-    plan_.seconds = seconds;
     record = std::move(outcome.record);
-    record->seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count() - seconds;
+    record->seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
   }
   return {plan_, record};
 }

@@ -16,7 +16,7 @@ struct CorrectionRecord {
   double forecast_mm = 0.0;   ///< simulated error of the plan that it started from
   double corrected_mm = 0.0;  ///< simulated error of its best plan
   std::vector<CorrectionStep> steps;
-  double seconds = 0.0;  ///< wall time
+  double seconds = 0.0;  ///< wall time, the plans of the network included
   bool dropped = false;  ///< it took longer than the budget; the plan before it stayed in force
 };
 

@@ -1,5 +1,6 @@
 #pragma once
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -74,10 +75,10 @@ struct PlanRequest {
 
 /// A plan as the optimiser sees it.
 struct PlanPoint {
-  Vector x;           ///< [D] decision vector of `horizon` segments
-  Index horizon = 0;  ///< b
-  Index release = 0;  ///< u of eq. 5
-  double loss = 0.0;  ///< planning loss, mm^2
+  Vector x;                                                ///< [D] decision vector of `horizon` segments
+  Index horizon = 0;                                       ///< b
+  Index release = 0;                                       ///< u of eq. 5
+  double loss = std::numeric_limits<double>::quiet_NaN();  ///< planning loss, mm^2; NaN: nobody has evaluated it
 };
 
 struct Plan {

@@ -10,8 +10,8 @@ struct LonePlan {
   MaterialKnowledge knowledge;  ///< the plan's input
   Positions goal;               ///< [V, 3] m
 };
-/// `weft plan`: the first plan of the session in `params`, or the plan before one segment of a recorded session. The
-/// latter uses the observations and the knowledge that the session had then (knowledge: true: the recorded material).
+/// `weft plan`: the network's first plan of the session in `params`, or its plan before one segment of a recorded session,
+/// without corrections. The latter uses the observations and the knowledge that the session had then (knowledge: true: the recorded material).
 /// @param recorded null: a new session. @param segment 1-based.
 /// @throws ConfigError for another garment or a segment beyond the end of the session; as run_session().
 LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Index segment,

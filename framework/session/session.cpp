@@ -133,9 +133,7 @@ PlanTimes plan_times(const SessionResult& result, Index lag) {
   times.limit = static_cast<double>(std::max<Index>(1, lag) * kFramesPerSegment) * kFrameSeconds;
   std::vector<double> later;
   for (std::size_t j = 0; j < result.rounds.size(); ++j) {
-    const auto& round = result.rounds[j];
-    const double seconds =
-        round.plan.seconds * (j == 0 || !round.correction) + (round.correction ? round.correction->seconds : 0.0);
+    const double seconds = result.rounds[j].seconds();
     if (j == 0)
       times.first = seconds;
     else if (seconds > 0.0)

@@ -102,6 +102,8 @@ struct SessionRound {
   /// [V, 3] m, observed after the segment (settled if it was the last). Unseen vertices are the plan's prediction.
   Positions observed;
   std::optional<CorrectionRecord> correction;  ///< the correction that ended before this segment
+  /// Wall time of all that made the plan.
+  double seconds() const { return correction ? correction->seconds : plan.seconds; }
 };
 
 /// Planner, estimator, first knowledge and goal of a session.

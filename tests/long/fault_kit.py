@@ -22,13 +22,19 @@ goal: {{random: {{min_distance_mm: 10}}}}
 settle: {{max_frames: 10}}
 planning: {{instances: 1, iterations: 1, replan_iterations: 0, horizon: 12}}
 """
-ABLATION = """task: task.yaml
+
+
+def ablation(seeds):
+    """An ablation of TASK with two arms."""
+    return f"""task: task.yaml
 factors:
   noise:
-    low: {planning.noise: 0.1}
-    high: {planning.noise: 0.4}
-seeds: {first: 1, count: 3}
+    low: {{planning.noise: 0.1}}
+    high: {{planning.noise: 0.4}}
+seeds: {{first: 1, count: {seeds}}}
 """
+
+
 EXPERIMENT = f"""extends: {ROOT}/configs/experiments/towel_small.yaml
 data: {{shard_examples: 8}}
 predictor: {{params: {{training: {{iterations: 60, warmup: 5, evaluate_every: 10, checkpoint_every: 10}}}}}}
@@ -78,7 +84,7 @@ class Kit:
         self.folder = Path(self._temporary.name)
         self.inputs = self.folder / "inputs"
         self.inputs.mkdir()
-        for name, text in (("task", TASK), ("ablation", ABLATION), ("experiment", EXPERIMENT), ("physics", PHYSICS)):
+        for name, text in (("task", TASK), ("ablation", ablation(3)), ("experiment", EXPERIMENT), ("physics", PHYSICS)):
             (self.inputs / f"{name}.yaml").write_text(text)
         self.works = [work for work in WORKS if not only or work.name in only]
         if unknown := set(only) - {work.name for work in WORKS}:

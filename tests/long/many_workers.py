@@ -21,23 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-TASK = f"""garment: {ROOT}/configs/garments/towel_coarse.yaml
-material: {ROOT}/configs/fabrics/basic.yaml
-manipulation: {{grasp: [left_bottom, left_top], displacement_m: [0.38, 0]}}
-predictor: {{plugin: rollout}}
-optimiser: {{plugin: rprop}}
-goal: {{random: {{min_distance_mm: 10}}}}
-settle: {{max_frames: 10}}
-planning: {{instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}}
-"""
-ABLATION = """task: task.yaml
-factors:
-  noise:
-    low: {planning.noise: 0.1}
-    high: {planning.noise: 0.4}
-seeds: {first: 1, count: %d}
-"""
+from fault_kit import TASK, ablation
 
 
 def children_of(pid):
@@ -108,7 +92,7 @@ def main():
         folder = Path(name)
         (folder / "task.yaml").write_text(TASK)
         file = folder / "ablation.yaml"
-        file.write_text(ABLATION % (options.cells // 2))
+        file.write_text(ablation(options.cells // 2))
         cells = options.cells // 2 * 2
 
         calm = ablate(options.weft, file, folder / "calm", jobs=os.cpu_count())
