@@ -223,7 +223,7 @@ class EstimateCorrector::Search {
       const double slope = thickness_slope(best.q(kThickness));
       precision(kThickness, kThickness) += slope * slope / (start_sigma_ * start_sigma_ + bias_sigma_ * bias_sigma_);
     }
-    precision.diagonal().array() += 12.0;  // at least the uniform prior's
+    precision.diagonal().array() += 1e-6;  // what nothing tells of stays uniform, and the inverse exists
     const Eigen::Matrix4d errors = owner_.model_error_.cwiseAbs2().asDiagonal();
     MaterialPosterior posterior;
     posterior.mode = best.q;

@@ -150,6 +150,14 @@ TEST_F(Session, EstimatesByTheSimulatorFindTheMaterial) {
   EXPECT_EQ(again.estimates.back().knowledge.centre, last.knowledge.centre);
 }
 
+TEST_F(Session, EstimatesByTheSimulatorKnowNothingOfWhatTheyCannotSee) {
+  const SessionResult result =
+      run(with(with(kWrong, kEstimate), {"planning.horizon=8", "max_segments=1", "observation={noise_m: 0.3}",
+                                         "estimation.correction={simulations: 4, later_simulations: 2, segments: 1}"}));
+  const auto& width = result.estimates.front().knowledge.width;
+  for (const Index p : {0, 1, 2}) EXPECT_GT(width(p), 0.9) << p;
+}
+
 class TwinOfATowel : public Session {
  protected:
   TwinOfATowel() { run({"planning={instances: 1, iterations: 0, replan_iterations: 0}"}); }
