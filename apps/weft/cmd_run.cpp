@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 
 #include "commands.hpp"
@@ -30,7 +31,7 @@ int run(Context& context, const std::string& file) {
               (given.host->threads() == 1 ? " thread" : " threads"));
   const auto progress = [&](const SessionRound& round, Index number, double) {
     char line[200], corrected[80] = "";
-    if (round.correction && !round.correction->steps.empty())
+    if (round.correction && std::isfinite(round.correction->forecast_mm))
       std::snprintf(corrected, sizeof(corrected), "  corrected from %.1f mm, %zu simulated%s",
                     round.correction->forecast_mm, round.correction->steps.size(),
                     round.correction->dropped ? ", dropped" : "");

@@ -22,7 +22,7 @@ struct Corrector::Simulated {
   Positions offset;  // sim - net of the final shape
   std::vector<Positions> shapes;
   double loss = std::numeric_limits<double>::infinity();
-  double error_mm = 0.0;
+  double error_mm = std::numeric_limits<double>::quiet_NaN();
   double radius = 0.0;
   bool exhausted = false;
 };

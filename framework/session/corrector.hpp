@@ -59,7 +59,8 @@ struct CorrectionStep {
   double radius = 0.0;        ///< of the search that found it
   double expected = 0.0;  ///< mm^2: loss by the predictor with the offset of its neighbour; NaN: it was in force before
   double loss = 0.0;      ///< mm^2, simulated; infinity: the simulation diverged, or did not release there
-  double error_mm = 0.0;  ///< simulated mean vertex distance to the goal
+  /// Simulated mean vertex distance to the goal; NaN: as `loss` is infinite.
+  double error_mm = std::numeric_limits<double>::quiet_NaN();
   bool best = false;      ///< better than all simulated before
 };
 
@@ -81,8 +82,8 @@ struct Correction {
   PlanPoint point;                                        ///< the best simulated plan
   std::vector<Positions> shapes;                          ///< [u]: simulated, after every segment
   double loss = std::numeric_limits<double>::infinity();  ///< mm^2, simulated
-  double error_mm = 0.0;
-  double first_error_mm = 0.0;  ///< of the first candidate
+  double error_mm = std::numeric_limits<double>::quiet_NaN();        ///< NaN: no plan could be simulated
+  double first_error_mm = std::numeric_limits<double>::quiet_NaN();  ///< of the first candidate
   double radius = 0.0;          ///< where the next correction of this plan begins
   std::vector<CorrectionStep> steps;
 };

@@ -172,15 +172,13 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
   file.write(group + "/predicted_sigma", shape, sigma.data());
 }
 
-}  // namespace
-
-namespace {
+/// JSON has no number for what is not finite.
+nlohmann::ordered_json number(double value) {
+  return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json();
+}
 
 /// @param in_force the first segment of the plan that it made.
 nlohmann::ordered_json correction_json(const CorrectionRecord& record, std::size_t in_force) {
-  const auto number = [](double value) {
-    return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json();
-  };
   auto steps = nlohmann::ordered_json::array();
   for (const auto& step : record.steps) {
     steps.push_back({{"release", step.release},
@@ -188,12 +186,15 @@ nlohmann::ordered_json correction_json(const CorrectionRecord& record, std::size
                      {"radius", step.radius},
                      {"expected_mm2", number(step.expected)},
                      {"loss_mm2", number(step.loss)},
-                     {"error_mm", step.error_mm},
+                     {"error_mm", number(step.error_mm)},
                      {"best", step.best}});
   }
-  return {{"started", record.started},           {"in_force", in_force},
-          {"dropped", record.dropped},           {"forecast_mm", record.forecast_mm},
-          {"corrected_mm", record.corrected_mm}, {"simulations", steps}};
+  return {{"started", record.started},
+          {"in_force", in_force},
+          {"dropped", record.dropped},
+          {"forecast_mm", number(record.forecast_mm)},
+          {"corrected_mm", number(record.corrected_mm)},
+          {"simulations", steps}};
 }
 
 }  // namespace
@@ -204,7 +205,6 @@ std::string session_summary_json(const SessionResult& result) {
   ordered_json summary;
   summary["error_mm"] = result.error_mm;
   summary["default_error_mm"] = result.default_error_mm;
-  const auto number = [](double value) { return std::isfinite(value) ? ordered_json(value) : ordered_json(); };
   summary["max_error_mm"] = result.errors.max_mm;
   summary["grasped_error_mm"] = number(result.errors.grasped_mm);
   summary["named_error_mm"] = number(result.errors.named_mm);

@@ -34,9 +34,10 @@ export interface Correction {
   started: number;
   in_force: number;
   dropped: boolean;
-  forecast_mm: number;
-  corrected_mm: number;
-  simulations: { release: number; found: string; error_mm: number; best: boolean }[];
+  /** null here and in simulations: the simulation diverged, or there was none. */
+  forecast_mm: number | null;
+  corrected_mm: number | null;
+  simulations: { release: number; found: string; error_mm: number | null; best: boolean }[];
 }
 export interface Summary {
   error_mm: number;

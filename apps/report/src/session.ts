@@ -308,8 +308,8 @@ export function sessionPage(page: PageData): HTMLElement {
     return `${corrections.length} corrections, ${simulated} simulated plans${dropped ? `; ${dropped} came too late and were dropped` : ''}.`;
   };
   const correctionChart = chart('Simulated errors of the corrections', (width) => {
-    const tried = corrections.flatMap((one) => one.simulations.map((step) => ({ segment: one.in_force, error: step.error_mm })));
-    const links = corrections.map((one) => ({ segment: one.in_force, from: one.forecast_mm, to: one.corrected_mm }));
+    const tried = corrections.flatMap((one) => one.simulations.flatMap((step) => (step.error_mm === null ? [] : [{ segment: one.in_force, error: step.error_mm }])));
+    const links = corrections.flatMap((one) => (one.forecast_mm === null || one.corrected_mm === null ? [] : [{ segment: one.in_force, from: one.forecast_mm, to: one.corrected_mm }]));
     return {
       x: { domain: [-0.3, Math.max(1, rounds.length)], ticks: wholeTicks(0, rounds.length, width), tickFormat: 'd', label: 'segments executed when in force' },
       y: { type: 'sqrt', label: 'mm', grid: true, nice: true, domain: [0, Math.max(1, summary.error_mm, ...tried.map((row) => row.error))] },
