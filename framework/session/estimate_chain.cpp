@@ -23,10 +23,10 @@ Estimate SessionEstimator::next(EstimateRequest request, const Estimate* previou
   if (segments > network_.max_segments().value_or(segments)) return *previous;
   if (previous) request.previous = previous->knowledge;
   if (!corrector_ || !corrector_->applies(segments)) return network_.estimate(request);
-  if (previous && previous->corrected) return corrector_->correct(request, *previous->corrected, false);
+  if (previous && previous->corrected) return corrector_->next(request, *previous);
   Estimate network = network_.estimate(request);
   const MaterialProperties start = network.posterior ? network.posterior->mode : network.knowledge.centre;
-  Estimate corrected = corrector_->correct(request, start, true);
+  Estimate corrected = corrector_->first(request, start);
   corrected.nll = network.nll;
   corrected.misfit = network.misfit;
   corrected.losses = network.losses;

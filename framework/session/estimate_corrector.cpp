@@ -48,25 +48,25 @@ class EstimateCorrector::Search {
   struct Point {
     MaterialProperties q;
     double bias = 0.0;
-    std::vector<Positions> sim;        // [shapes]
-    std::vector<double> mean_squares;  // [shapes], after the bias
+    std::shared_ptr<const TwinSequence> sim;  // null: it diverged
+    std::vector<double> mean_squares;         // [shapes], after the bias
     double loss = std::numeric_limits<double>::infinity();
   };
 
   bool has_shapes() const { return !shapes_.empty(); }
 
-  Point simulate(const MaterialProperties& q) {
+  /// @param so_far the sequence without its last segments, if it was simulated at q before.
+  Point simulate(const MaterialProperties& q, const TwinSequence* so_far = nullptr) {
     ++simulations_;
     Point point;
     point.q = q;
-    FoldResult fold;
     try {
-      fold = owner_.twin_->fold(owner_.twin_->start(q), request_.controls);
+      const bool goes_on = so_far != nullptr && so_far->goes_on();
+      point.sim = std::make_shared<const TwinSequence>(goes_on ? owner_.twin_->longer(*so_far, request_.controls)
+                                                               : owner_.twin_->sequence(q, request_.controls));
     } catch (const Diverged&) {
       return point;
     }
-    for (const auto& shape : shapes_)
-      point.sim.push_back(fold.shapes[std::min<Index>(shape.segment, fold.segments - 1)]);
     // Few rounds of: the best bias for the scales, the scales for the bias.
     point.mean_squares.assign(shapes_.size(), kFloor * kFloor);
     for (int round = 0; round < 4; ++round) {
@@ -129,9 +129,9 @@ class EstimateCorrector::Search {
     simulations_ += 4;
     std::vector<Matrix> jacobian = no_jacobian();
     for (Index p = 0; p < 4; ++p) {
-      if (moved[p].sim.empty()) continue;
+      if (!moved[p].sim) continue;
       for (std::size_t k = 0; k < shapes_.size(); ++k)
-        jacobian[k].col(p) = seen_part((moved[p].sim[k] - at.sim[k]) / spans[p], k);
+        jacobian[k].col(p) = seen_part((shape_of(moved[p], k) - shape_of(at, k)) / spans[p], k);
     }
     return jacobian;
   }
@@ -140,7 +140,7 @@ class EstimateCorrector::Search {
   void fit_differences(const Point& at, const std::vector<Point>& others, std::vector<Matrix>& jacobian) const {
     std::vector<const Point*> usable;
     for (const auto& other : others)
-      if (!other.sim.empty() && (other.q - at.q).norm() > 1e-9) usable.push_back(&other);
+      if (other.sim && (other.q - at.q).norm() > 1e-9) usable.push_back(&other);
     if (usable.empty()) return;
     const Index n = std::ssize(usable);
     Matrix steps(4, n);
@@ -150,7 +150,7 @@ class EstimateCorrector::Search {
     const Matrix inverse = gram.ldlt().solve(steps.transpose());  // [n, 4]
     for (std::size_t k = 0; k < shapes_.size(); ++k) {
       Matrix differences(jacobian[k].rows(), n);
-      for (Index i = 0; i < n; ++i) differences.col(i) = seen_part(usable[i]->sim[k] - at.sim[k], k);
+      for (Index i = 0; i < n; ++i) differences.col(i) = seen_part(shape_of(*usable[i], k) - shape_of(at, k), k);
       jacobian[k] += (differences - jacobian[k] * steps) * inverse;
     }
   }
@@ -277,9 +277,13 @@ class EstimateCorrector::Search {
     for (Index i = 0; i < std::ssize(vertices); ++i) part.segment<3>(3 * i) = field.row(vertices[i]).transpose();
     return part;
   }
+  const Positions& shape_of(const Point& point, std::size_t k) const {
+    const auto& shapes = point.sim->shapes;
+    return shapes[std::min<Index>(shapes_[k].segment, std::ssize(shapes) - 1)];
+  }
   /// seen - sim - b e_z.
   Vector residuals(const Point& point, std::size_t k) const {
-    Vector r = seen_part(request_.observations[shapes_[k].segment]->positions - point.sim[k], k);
+    Vector r = seen_part(request_.observations[shapes_[k].segment]->positions - shape_of(point, k), k);
     for (Index i = 2; i < r.size(); i += 3) r(i) -= point.bias;
     return r;
   }
@@ -338,17 +342,25 @@ EstimateCorrector::EstimateCorrector(const Task& task, std::shared_ptr<const Pre
   read("deviation_scale", params.deviation_scale, deviation_scale_);
 }
 
-Estimate EstimateCorrector::correct(const EstimateRequest& request, const MaterialProperties& start, bool first) const {
+Estimate EstimateCorrector::first(const EstimateRequest& request, const MaterialProperties& start) const {
+  return correct(request, start, nullptr, params_.simulations);
+}
+
+Estimate EstimateCorrector::next(const EstimateRequest& request, const Estimate& previous) const {
+  return correct(request, *previous.corrected, previous.sequence.get(), params_.later_simulations);
+}
+
+Estimate EstimateCorrector::correct(const EstimateRequest& request, const MaterialProperties& start,
+                                    const TwinSequence* so_far, Index budget) const {
   const Step segment("segment", request.round + 1);
   const Step correcting("correction of the estimate");
   const auto started = std::chrono::steady_clock::now();
   Estimate estimate;
   Search search(*this, request);
   if (!search.has_shapes()) return estimate;
-  const Index budget = first ? params_.simulations : params_.later_simulations;
   std::vector<Search::Point> tried;
-  Search::Point best = search.simulate(start);
-  if (best.sim.empty()) throw Diverged("estimation: the simulation at the first estimate diverged");
+  Search::Point best = search.simulate(start, so_far);
+  if (!best.sim) throw Diverged("estimation: the simulation at the first estimate diverged");
   double radius = params_.radius;
   std::optional<std::vector<Matrix>> simulated;  // the simulator's own Jacobian
   std::vector<Matrix> jacobian;
@@ -382,6 +394,7 @@ Estimate EstimateCorrector::correct(const EstimateRequest& request, const Materi
     is_new = true;
   }
   estimate.corrected = best.q;
+  estimate.sequence = best.sim;
   estimate.posterior = search.posterior(best, jacobian);
   estimate.knowledge = interval_of(estimate.posterior->widened(deviation_scale_));
   estimate.loss = best.loss;

@@ -23,12 +23,16 @@ class EstimateCorrector {
                     const EstimateCorrectionParams& params, Host& host);
   /// Whether a history of this many segments is corrected.
   bool applies(Index segments) const { return segments >= params_.segments; }
-  /// @param start where the search starts: the network's estimate, or the corrected one of a segment before.
-  /// @param first the first corrected estimate of a session. @throws Diverged if no sequence could be simulated.
-  Estimate correct(const EstimateRequest& request, const MaterialProperties& start, bool first) const;
+  /// The first corrected estimate of a session. @param start the network's, where the search starts.
+  /// @throws Diverged if no sequence could be simulated.
+  Estimate first(const EstimateRequest& request, const MaterialProperties& start) const;
+  /// A later one. @param previous corrected, of a segment before: the search starts there. @throws as first().
+  Estimate next(const EstimateRequest& request, const Estimate& previous) const;
 
  private:
   class Search;
+  Estimate correct(const EstimateRequest& request, const MaterialProperties& start, const TwinSequence* so_far,
+                   Index budget) const;
   Task task_;
   std::shared_ptr<const Predictor> predictor_;
   std::shared_ptr<const Twin> twin_;

@@ -119,6 +119,8 @@ struct EstimateRequest {
   std::uint64_t seed = 0;
 };
 
+struct TwinSequence;
+
 struct Estimate {
   MaterialKnowledge knowledge;
   std::optional<MaterialPosterior> posterior;  ///< method posterior; before deviation_scale
@@ -129,10 +131,11 @@ struct Estimate {
   std::vector<double> losses;  ///< [instances], residual
   SearchEnd ended;             ///< why the optimiser stopped
   Index iterations = 0;
-  Index evaluations = 0;                        ///< points predicted, over all instances
-  std::optional<MaterialProperties> corrected;  ///< q by simulations (EstimateCorrector)
-  Index simulations = 0;                        ///< simulated sequences of that
-  double residual_mm = 0.0;                     ///< root mean square of seen - simulated
+  Index evaluations = 0;                         ///< points predicted, over all instances
+  std::optional<MaterialProperties> corrected;   ///< q by simulations (EstimateCorrector)
+  std::shared_ptr<const TwinSequence> sequence;  ///< simulated at `corrected`; null without
+  Index simulations = 0;                         ///< simulated sequences of that
+  double residual_mm = 0.0;                      ///< root mean square of seen - simulated
   double seconds = 0.0;
 };
 

@@ -66,12 +66,10 @@ void Twin::place(Lease& lease, const TwinState& from) const {
 TwinState Twin::start(const MaterialProperties& material) const {
   Lease lease(*this);
   lease.reset(material);
-  TwinState start{.material = material,
-                  .positions = lease->positions(),
-                  .velocities = lease->velocities(),
-                  .state = task_.trajectory->initial_state(task_.manipulation),
-                  .snapshot = nullptr};
-  if (lease->capabilities().snapshots) start.snapshot = lease->save();
+  TwinState start;
+  start.material = material;
+  start.state = task_.trajectory->initial_state(task_.manipulation);
+  read_state(lease, start);
   return start;
 }
 
@@ -87,14 +85,38 @@ TwinState Twin::advance(const TwinState& from, ConstVec control) const {
     throw;
   }
   after.state = path.end_state;
-  after.positions = lease->positions();
-  after.velocities = lease->velocities();
-  after.snapshot = lease->capabilities().snapshots ? lease->save() : nullptr;
+  read_state(lease, after);
   return after;
+}
+
+void Twin::read_state(Lease& lease, TwinState& state) {
+  state.positions = lease->positions();
+  state.velocities = lease->velocities();
+  state.snapshot = lease->capabilities().snapshots ? lease->save() : nullptr;
 }
 
 FoldResult Twin::fold(const TwinState& from, const Controls& controls) const {
   Lease lease(*this);
+  return fold(lease, from, controls);
+}
+
+TwinSequence Twin::sequence(const MaterialProperties& material, const Controls& controls) const {
+  TwinSequence none;
+  none.end = start(material);
+  return longer(std::move(none), controls);
+}
+
+TwinSequence Twin::longer(TwinSequence so_far, const Controls& controls) const {
+  Lease lease(*this);
+  FoldResult fold = this->fold(lease, so_far.end, controls.bottomRows(controls.rows() - std::ssize(so_far.shapes)));
+  for (auto& shape : fold.shapes) so_far.shapes.push_back(std::move(shape));
+  so_far.released = fold.released;
+  if (fold.segments > 0) so_far.end.state = fold.states.bottomRows(1).transpose();
+  if (!fold.released) read_state(lease, so_far.end);
+  return so_far;
+}
+
+FoldResult Twin::fold(Lease& lease, const TwinState& from, const Controls& controls) const {
   place(lease, from);
   FoldResult result;
   result.states.resize(0, from.state.size());

@@ -181,6 +181,25 @@ TEST_F(TwinOfATowel, FoldsAsTheSimulatorDoesFromAnySegment) {
   EXPECT_EQ(twin.fold(state, controls.bottomRows(controls.rows() - 3)).shapes.back(), whole.shapes.back());
 }
 
+TEST_F(TwinOfATowel, ASequenceThatGetsLongerHasTheShapesOfTheWhole) {
+  const Task cloth = task();
+  const auto host = make_host(std::make_shared<PluginRegistry>(), {.threads = 1});
+  const Twin twin(cloth, {}, *host);
+  const MaterialProperties q = MaterialProperties::Constant(0.3);
+  const Controls controls = cloth.trajectory->default_controls(14);
+  const FoldResult whole = simulate_fold(*host->create<Simulator>(cloth.simulator), cloth, q, controls);
+  TwinSequence sequence = twin.sequence(q, controls.topRows(1));
+  for (Index k = 2; k <= whole.segments; ++k) {
+    ASSERT_TRUE(sequence.goes_on());
+    twin.sequence(MaterialProperties::Constant(0.7), controls.topRows(2));  // the simulator is busy in between
+    sequence = twin.longer(std::move(sequence), controls.topRows(k));
+  }
+  EXPECT_TRUE(sequence.released);
+  EXPECT_FALSE(sequence.goes_on());
+  ASSERT_EQ(std::ssize(sequence.shapes), whole.segments);
+  for (Index k = 0; k < whole.segments; ++k) EXPECT_EQ(sequence.shapes[k], whole.shapes[k + 1]);
+}
+
 TEST_F(TwinOfATowel, IsPulledToWhatIsSeenAndNotToItsNoise) {
   const Task cloth = task();
   const Garment& garment = *cloth.garment;
