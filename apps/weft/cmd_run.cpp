@@ -76,10 +76,20 @@ int run(Context& context, const std::string& file) {
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) context.output() << with_times(summary, times);
   char line[200];
-  std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm), IoU %.3f, %s",
-                result.shapes_are_true ? "" : "observed ", result.error_mm, result.rounds.size(),
-                result.default_error_mm, result.errors.iou, success_text(result.error_mm).c_str());
-  context.say(line);
+  const char* const seen = result.shapes_are_true ? "" : "observed ";
+  if (result.goal.rows() > 0) {
+    std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm), IoU %.3f, %s",
+                  seen, result.error_mm, result.rounds.size(), result.default_error_mm, result.errors.iou,
+                  success_text(result.error_mm).c_str());
+    context.say(line);
+  }
+  if (result.surface) {
+    char iou[40] = "";
+    if (std::isfinite(result.errors.iou)) std::snprintf(iou, sizeof(iou), ", IoU %.3f", result.errors.iou);
+    std::snprintf(line, sizeof(line), "%schamfer distance %.1f mm after %zu segments (default control: %.1f mm)%s",
+                  seen, result.chamfer_mm, result.rounds.size(), result.default_chamfer_mm, iou);
+    context.say(line);
+  }
   if (!result.rounds.empty()) {
     const PlanTimes plans = plan_times(result, given.params.correction.lag);
     double estimate = 0.0;

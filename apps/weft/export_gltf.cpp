@@ -83,7 +83,7 @@ int add_material(tinygltf::Model& model, const std::string& name, std::vector<do
 constexpr int kVertices = TINYGLTF_TARGET_ARRAY_BUFFER, kVec3 = TINYGLTF_TYPE_VEC3;
 
 /// Adds a mesh of one primitive, and a node that shows it.
-/// @param faces,uv accessors. @return the node.
+/// @param faces,uv accessors; uv < 0: none. @return the node.
 int add_mesh(tinygltf::Model& model, Writer& out, const std::string& name, const Positions& positions,
              const Faces& topology, int faces, int uv, int material) {
   tinygltf::Primitive primitive;
@@ -92,7 +92,7 @@ int add_mesh(tinygltf::Model& model, Writer& out, const std::string& name, const
   primitive.material = material;
   primitive.attributes["POSITION"] = out.add(Single(positions.cast<float>()), kVec3, kVertices, true);
   primitive.attributes["NORMAL"] = out.add(Single(normals_of(positions, topology).cast<float>()), kVec3, kVertices);
-  primitive.attributes["TEXCOORD_0"] = uv;
+  if (uv >= 0) primitive.attributes["TEXCOORD_0"] = uv;
   tinygltf::Mesh mesh;
   mesh.name = name;
   mesh.primitives.push_back(primitive);
@@ -166,12 +166,12 @@ void export_gltf(const std::filesystem::path& file, const SessionRecord& session
   Writer out(model);
   const int faces = out.add(session.faces);
   const int uv = out.add(Single(session.rest.cast<float>()), TINYGLTF_TYPE_VEC2, kVertices);
-  const auto add = [&](const std::string& name, const Positions& positions, int material) {
-    return add_mesh(model, out, name, positions, session.faces, faces, uv, material);
-  };
-  const int cloth = add(session.garment_name, session.frames[timeline.frames.front()],
-                        add_material(model, "cloth", {0.07, 0.26, 0.56, 1.0}));
-  const int goal = add("goal", session.goal, add_material(model, "goal", {0.0, 0.25, 0.12, 0.4}));
+  const int cloth = add_mesh(model, out, session.garment_name, session.frames[timeline.frames.front()], session.faces,
+                             faces, uv, add_material(model, "cloth", {0.07, 0.26, 0.56, 1.0}));
+  const Mesh shown = session.drawn_goal();
+  const bool is_garment = session.has_correspondence;
+  const int goal = add_mesh(model, out, "goal", shown.positions, shown.faces, is_garment ? faces : out.add(shown.faces),
+                            is_garment ? uv : -1, add_material(model, "goal", {0.0, 0.25, 0.12, 0.4}));
   add_targets(model.meshes[0], out, session, timeline);
   if (timeline.frames.size() > 1) add_animation(model, out, timeline, cloth);
   add_scene(model, {cloth, goal});

@@ -239,12 +239,11 @@ Vector3d direction_of(View view) {
 
 /// A round number of mm that holds the distances of the session's last frame.
 double round_range(const SessionRecord& session) {
-  std::vector<double> sorted(session.goal.rows());
-  const Vector at_end = 1000.0 * (session.final_shape - session.goal).rowwise().norm();
-  std::copy(at_end.begin(), at_end.end(), sorted.begin());
+  const Vector at_end = session.vertex_distances_mm(session.final_shape);
+  std::vector<double> sorted(at_end.begin(), at_end.end());
   std::sort(sorted.begin(), sorted.end());
   return nice_ceiling(
-      std::max({10.0, 0.5 * mean_distance_mm(session.default_shape, session.goal), sorted[sorted.size() * 98 / 100]}));
+      std::max({10.0, 0.5 * session.goal_distance_mm(session.default_shape), sorted[sorted.size() * 98 / 100]}));
 }
 
 /// @param base base(face, front, u, v, w): the colour of a point of a face before light falls on it.
@@ -358,7 +357,7 @@ double write_still(const std::filesystem::path& file, const SessionRecord& sessi
 
   double range = options.range_mm;
   if (options.distance && range <= 0) range = round_range(session);
-  const Vector distances = 1000.0 * (shape - session.goal).rowwise().norm();
+  const Vector distances = options.distance ? session.vertex_distances_mm(shape) : Vector();
   const Surface cloth(shape, session.faces, camera);
   draw_cloth(canvas, camera, cloth, [&](Index f, bool front, double u, double v, double w) {
     if (!options.distance) return rgb(front ? 0x4a8bc9 : 0xe5a13c);
@@ -367,7 +366,10 @@ double write_still(const std::filesystem::path& file, const SessionRecord& sessi
         range);
   });
   if (options.edges) draw_edges(canvas, cloth);
-  if (options.goal) draw_goal(canvas, camera, Surface(session.goal, session.faces, camera));
+  if (options.goal) {
+    const Mesh goal = session.drawn_goal();
+    draw_goal(canvas, camera, Surface(goal.positions, goal.faces, camera));
+  }
   if (options.paths) draw_paths(canvas, camera, session, frame);
   write_png(file, options, pixels_of(canvas));
   return range;

@@ -73,23 +73,25 @@ void export_usd(const fs::path& file, const SessionRecord& session, const Timeli
   out.print("    timeCodesPerSecond = 60\n    framesPerSecond = 60\n    startTimeCode = 0\n    endTimeCode = %g\n)\n\n",
             end);
   out.text("def Xform \"weft\"\n{\n");
-  const auto print_mesh = [&](const std::string& name, const Eigen::Vector3d& colour, double opacity) {
+  const auto print_mesh = [&](const std::string& name, const Faces& faces, bool has_rest, const Eigen::Vector3d& colour,
+                              double opacity) {
     out.print("    def Mesh \"%s\"\n    {\n", identifier(name).substr(0, 100).c_str());
     out.text("        uniform token subdivisionScheme = \"none\"\n        uniform bool doubleSided = 1\n");
     out.print("        color3f[] primvars:displayColor = [(%g, %g, %g)]\n", colour.x(), colour.y(), colour.z());
     out.print("        float[] primvars:displayOpacity = [%g]\n", opacity);
     out.text("        int[] faceVertexCounts = [");
-    for (Index f = 0; f < session.faces.rows(); ++f) out.text(f > 0 ? ", 3" : "3");
+    for (Index f = 0; f < faces.rows(); ++f) out.text(f > 0 ? ", 3" : "3");
     out.text("]\n        int[] faceVertexIndices = [");
-    for (Index f = 0; f < session.faces.rows(); ++f) {
-      out.print("%s%d, %d, %d", f > 0 ? ", " : "", session.faces(f, 0), session.faces(f, 1), session.faces(f, 2));
-    }
-    out.text("]\n        texCoord2f[] primvars:st = [");
+    for (Index f = 0; f < faces.rows(); ++f)
+      out.print("%s%d, %d, %d", f > 0 ? ", " : "", faces(f, 0), faces(f, 1), faces(f, 2));
+    out.text("]\n");
+    if (!has_rest) return;
+    out.text("        texCoord2f[] primvars:st = [");
     for (Index v = 0; v < session.rest.rows(); ++v)
       out.print("%s(%.7g, %.7g)", v > 0 ? ", " : "", session.rest(v, 0), session.rest(v, 1));
     out.text("] (interpolation = \"vertex\")\n");
   };
-  print_mesh(session.garment_name, {0.07, 0.26, 0.56}, 1.0);
+  print_mesh(session.garment_name, session.faces, true, {0.07, 0.26, 0.56}, 1.0);
   out.text("        point3f[] points.timeSamples = {\n");
   for (std::size_t k = 0; k < timeline.frames.size(); ++k) {
     out.print("            %g: ", timeline.seconds[k] / kFrameSeconds);
@@ -100,9 +102,11 @@ void export_usd(const fs::path& file, const SessionRecord& session, const Timeli
   out.text("        }\n        point3f[] points = ");
   print_points(out, session.frames[timeline.frames.front()]);
   out.text("\n    }\n\n");
-  print_mesh(identifier(session.garment_name) == "goal" ? "goal_shape" : "goal", {0.0, 0.25, 0.12}, 0.4);
+  const Mesh goal = session.drawn_goal();
+  print_mesh(identifier(session.garment_name) == "goal" ? "goal_shape" : "goal", goal.faces, session.has_correspondence,
+             {0.0, 0.25, 0.12}, 0.4);
   out.text("        point3f[] points = ");
-  print_points(out, session.goal);
+  print_points(out, goal.positions);
   out.text("\n    }\n}\n");
   out.commit();
 }
@@ -114,7 +118,9 @@ void export_obj(const fs::path& folder, const SessionRecord& session, const Time
     std::snprintf(name, sizeof(name), "%04zu.obj", frame);
     write_obj(folder / name, {session.frames[frame], session.faces, session.rest, ""});
   }
-  write_obj(folder / "goal.obj", {session.goal, session.faces, session.rest, ""});
+  Mesh goal = session.drawn_goal();
+  if (session.has_correspondence) goal.rest = session.rest;
+  write_obj(folder / "goal.obj", goal);
 }
 
 void export_csv(const fs::path& folder, const SessionRecord& session, const Timeline& timeline) {
@@ -154,7 +160,7 @@ void export_csv(const fs::path& folder, const SessionRecord& session, const Time
   segments.text("\n");
   for (std::size_t r = 0; r < session.rounds.size(); ++r) {
     const auto& round = session.rounds[r];
-    const double error = mean_distance_mm(session.shape_after(r), session.goal);
+    const double error = session.goal_distance_mm(session.shape_after(r));
     segments.print("%zu,%.9g,%.9g,%.9g,%.9g,%td", r + 1, error, number_of("predicted_error_mm", r),
                    number_of("plan_seconds", r), number_of("estimate_seconds", r), round.controls.rows());
     for (Index c = 0; c < round.controls.cols(); ++c) segments.print(",%.9g", round.controls(0, c));

@@ -60,6 +60,10 @@ SweepOutcome session_outcome(const SessionResult& result) {
   SweepOutcome outcome;
   Fnv1a hash;
   hash.add(result.goal.data(), sizeof(double) * result.goal.size());
+  if (result.goal.rows() == 0) {
+    const Positions& goal = result.surface->positions();
+    hash.add(goal.data(), sizeof(double) * goal.size());
+  }
   hash.add(result.start.data(), sizeof(double) * result.start.size());
   if (result.true_material) hash.add(result.true_material->data(), sizeof(double) * 4);
   outcome.paired_by = hex_digits(hash.value());
@@ -92,7 +96,13 @@ SweepOutcome session_outcome(const SessionResult& result) {
       {"simulations", simulations},
   };
   for (const int limit : kSuccessLimitsMm)
-    outcome.metrics.emplace_back(success_key(limit), succeeds(result.error_mm, limit) ? 1.0 : 0.0);
+    outcome.metrics.emplace_back(success_key(limit), std::isnan(result.error_mm)        ? kNaN
+                                                     : succeeds(result.error_mm, limit) ? 1.0
+                                                                                        : 0.0);
+  if (result.surface) {
+    outcome.metrics.emplace_back("chamfer_mm", result.chamfer_mm);
+    outcome.metrics.emplace_back("default_chamfer_mm", result.default_chamfer_mm);
+  }
   outcome.times = {
       {"first_plan_seconds", planned ? first.seconds : kNaN},
       {"plan_seconds", seconds},

@@ -178,9 +178,11 @@ std::string session_page(const std::string& page_template, const SessionRecord& 
   data["released"] = session.released();
   data["release_frame"] = session.segment_frame(session.segments());
   if (session.true_material) data["true_material"] = list(*session.true_material);
-  data["start_error_mm"] = mean_distance_mm(session.start, session.goal);
+  data["start_error_mm"] = session.goal_distance_mm(session.start);
   data["frames"] = page.shapes(session.frames);
-  data["goal"] = page.shapes({session.goal});
+  const Mesh goal = session.drawn_goal();
+  data["goal"] = page.shapes({goal.positions});
+  if (!session.has_correspondence) data["goal_faces"] = page.faces(goal.faces);
   data["default_shape"] = page.shapes({session.default_shape});
   data["rounds"] = ordered_json::array();
   for (std::size_t r = 0; r < session.rounds.size(); ++r) {
@@ -189,7 +191,7 @@ std::string session_page(const std::string& page_template, const SessionRecord& 
     entry["controls"] = rows_of(round.controls);
     entry["state"] = list(round.state);
     entry["knowledge"] = knowledge_json(round.knowledge);
-    entry["error_mm"] = mean_distance_mm(session.shape_after(static_cast<Index>(r)), session.goal);
+    entry["error_mm"] = session.goal_distance_mm(session.shape_after(static_cast<Index>(r)));
     entry["prediction"] = compare_prediction(session, r);
     entry["losses"] = list(round.losses);
     entry["curves"] = page.matrix(round.curves);

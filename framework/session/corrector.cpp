@@ -154,7 +154,8 @@ Corrector::Simulated Corrector::simulate(const CorrectionRequest& request, const
   const Positions& end = result.shapes.back();
   result.offset = end - planner_->predict(request.plan, point).back().mean;
   result.loss = result.point.loss = planner_->loss_of(request.plan, point, end);
-  result.error_mm = mean_distance_mm(end, *request.plan.goal);
+  const auto& surface = request.plan.surface;  // what the planner knows of the goal
+  result.error_mm = surface ? surface->chamfer_mm(end) : mean_distance_mm(end, *request.plan.goal);
   return result;
 }
 

@@ -59,9 +59,10 @@ struct CorrectionStep {
   double radius = 0.0;        ///< of the search that found it
   double expected = 0.0;  ///< mm^2: loss by the predictor with the offset of its neighbour; NaN: it was in force before
   double loss = 0.0;      ///< mm^2, simulated; infinity: the simulation diverged, or did not release there
-  /// Simulated mean vertex distance to the goal; NaN: as `loss` is infinite.
+  /// Simulated mean vertex distance to the goal, with planning.loss chamfer or silhouette GoalSurface::chamfer_mm(); NaN:
+  /// as `loss` is infinite.
   double error_mm = std::numeric_limits<double>::quiet_NaN();
-  bool best = false;      ///< better than all simulated before
+  bool best = false;  ///< better than all simulated before
 };
 
 struct CorrectionRequest {
@@ -79,12 +80,12 @@ struct CorrectionRequest {
 };
 
 struct Correction {
-  PlanPoint point;                                        ///< the best simulated plan
-  std::vector<Positions> shapes;                          ///< [u]: simulated, after every segment
-  double loss = std::numeric_limits<double>::infinity();  ///< mm^2, simulated
+  PlanPoint point;                                                   ///< the best simulated plan
+  std::vector<Positions> shapes;                                     ///< [u]: simulated, after every segment
+  double loss = std::numeric_limits<double>::infinity();             ///< mm^2, simulated
   double error_mm = std::numeric_limits<double>::quiet_NaN();        ///< NaN: no plan could be simulated
   double first_error_mm = std::numeric_limits<double>::quiet_NaN();  ///< of the first candidate
-  double radius = 0.0;          ///< where the next correction of this plan begins
+  double radius = 0.0;                                               ///< where the next correction of this plan begins
   std::vector<CorrectionStep> steps;
 };
 

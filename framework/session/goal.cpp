@@ -1,6 +1,9 @@
 #include "session/goal.hpp"
 
+#include <algorithm>
+
 #include "loader/where.hpp"
+#include "meshes/import/mesh_file.hpp"
 #include "simulation/fold.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"
@@ -19,6 +22,57 @@ Positions final_shape_of(const std::filesystem::path& session_file, const Garmen
                       std::to_string(garment.hash) + ")");
   }
   return file.read_positions("/final_shape");
+}
+
+std::shared_ptr<const GoalSurface> surface_of(const Positions& shape, const std::string& loss, const Task& task) {
+  const GoalKind kind = loss == "silhouette" ? GoalKind::silhouette : GoalKind::surface;
+  return std::make_shared<const GoalSurface>(kind, shape, task.garment->faces, *task.garment);
+}
+
+/// A goal that is a file without correspondence.
+std::shared_ptr<const GoalSurface> read_surface(const GoalParams& params, const std::string& loss, const Task& task) {
+  Positions positions;
+  Faces faces;
+  GoalKind kind = loss == "silhouette" ? GoalKind::silhouette : GoalKind::surface;
+  if (!params.mask.file.empty()) {
+    require_shape("goal.mask.origin_m", params.mask.origin_m.size(), 2);
+    read_mask(params.mask.file, params.mask.metres_per_pixel,
+              Eigen::Map<const Eigen::Vector2d>(params.mask.origin_m.data()), positions, faces);
+  } else if (!params.points.empty()) {
+    kind = GoalKind::points;
+    positions = read_points(params.points);
+  } else {
+    Findings findings;
+    const ObjFile file = read_mesh_file(params.mesh, findings).polygons;
+    positions.resize(std::ssize(file.vertices), 3);
+    for (Index v = 0; v < positions.rows(); ++v)
+      positions.row(v) << file.vertices[v][0], file.vertices[v][1], file.vertices[v][2];
+    std::vector<std::array<int, 3>> triangles;
+    for (const auto& face : file.faces) {
+      for (std::size_t k = 2; k < face.corners.size(); ++k)
+        triangles.push_back({face.corners[0].vertex, face.corners[k - 1].vertex, face.corners[k].vertex});
+    }
+    faces.resize(std::ssize(triangles), 3);
+    for (Index f = 0; f < faces.rows(); ++f) faces.row(f) << triangles[f][0], triangles[f][1], triangles[f][2];
+  }
+  constexpr double kFar = 10.0;  // m
+  if (positions.cwiseAbs().maxCoeff() > kFar)
+    throw ConfigError("reaches " + ConfigNode::number(positions.cwiseAbs().maxCoeff()).as_string() +
+                      " m from the origin, must be within 10 m: are its units metres?");
+  return std::make_shared<const GoalSurface>(kind, positions, faces, *task.garment);
+}
+
+/// Refuses a loss that cannot compare a cloth with this goal. @param given key of the goal.
+void check_loss(const std::string& loss, const std::string& given, const ConfigNode& origin) {
+  std::vector<std::string> possible = {"mean", "expected", "chamfer", "silhouette"};
+  if (given == "goal.mesh") possible = {"chamfer", "silhouette"};
+  if (given == "goal.points") possible = {"chamfer"};
+  if (given == "goal.mask") possible = {"silhouette"};
+  if (std::find(possible.begin(), possible.end(), loss) != possible.end()) return;
+  const std::string wanted = possible.size() == 1 ? possible[0] : "chamfer or silhouette";
+  place(origin, "planning.loss")
+      .fail("= " + loss + " cannot compare the cloth with " + given + ", whose points are not the garment's; use " +
+            wanted);
 }
 
 }  // namespace
@@ -60,16 +114,26 @@ Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Ind
   return controls;
 }
 
-SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const Task& task) {
+SessionGoal read_goal(const GoalParams& params, const std::string& loss, const ConfigNode& origin, const Task& task) {
   SessionGoal goal;
   std::vector<std::string> given;
   if (!params.obj.empty()) given.push_back("goal.obj");
   if (!params.example.empty()) given.push_back("goal.example");
+  if (!params.mesh.empty()) given.push_back("goal.mesh");
+  if (!params.points.empty()) given.push_back("goal.points");
+  if (!params.mask.file.empty()) given.push_back("goal.mask");
   if (!params.controls.is_null()) given.push_back("goal.controls");
   if (given.empty()) return goal;
-  const ConfigNode node = place(origin, given.back());
-  if (given.size() > 1)
-    node.fail("is given together with " + given.front() + "; give at most one of obj, example and controls");
+  const ConfigNode node = place(origin, given.back() == "goal.mask" ? "goal.mask.file" : given.back());
+  if (given.size() > 1) {
+    node.fail("is given together with " + given.front() +
+              "; give at most one of obj, example, mesh, points, mask and controls");
+  }
+  check_loss(loss, given.front(), origin);
+  if (!params.mesh.empty() || !params.points.empty() || !params.mask.file.empty()) {
+    goal.surface = blaming(node, [&] { return read_surface(params, loss, task); });
+    return goal;
+  }
   if (!params.controls.is_null()) {
     goal.controls = read_controls(params.controls, *task.trajectory, params.horizon);
     return goal;
@@ -84,8 +148,8 @@ SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const 
   return goal;
 }
 
-SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& task, std::uint64_t seed,
-                      const std::optional<MaterialProperties>& true_material, Host& host) {
+SessionGoal make_goal(SessionGoal given, const GoalParams& params, const std::string& loss, const Task& task,
+                      std::uint64_t seed, const std::optional<MaterialProperties>& true_material, Host& host) {
   const Step step("making the goal");
   const auto& trajectory = *task.trajectory;
   SessionGoal goal = std::move(given);
@@ -99,7 +163,7 @@ SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& t
   goal.default_shape = simulate_fold(*reference, task, material, trajectory.default_controls(horizon)).shapes.back();
   if (goal.controls.rows() > 0) {
     goal.shape = simulate_fold(*reference, task, goal_material, goal.controls).shapes.back();
-  } else if (goal.shape.rows() == 0) {
+  } else if (goal.shape.rows() == 0 && !goal.surface) {
     const auto& random_goal = params.random;
     for (std::int64_t attempt = 0; attempt < random_goal.attempts && goal.shape.rows() == 0; ++attempt) {
       RandomStream random = RandomStream(seed, kGoalStream).child(static_cast<std::uint64_t>(attempt));
@@ -121,6 +185,7 @@ SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& t
                   std::to_string(random_goal.min_distance_mm) + " mm or more from the result of the default control");
     }
   }
+  if (!goal.surface && is_surface_loss(loss)) goal.surface = surface_of(goal.shape, loss, task);
   return goal;
 }
 

@@ -1,9 +1,12 @@
 #pragma once
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <optional>
+#include <string>
 #include <vector>
 
+#include "session/goal_surface.hpp"
 #include "simulation/random_controls.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/host.hpp"
@@ -12,10 +15,22 @@
 
 namespace weft {
 
-/// Goal of a session: exactly one of obj, example, controls and random.
+/// Goal of a session: exactly one of obj, example, mesh, points, mask, controls and random.
 struct GoalParams {
   std::filesystem::path obj;
   std::filesystem::path example;
+  std::filesystem::path mesh, points;
+  struct Mask {
+    std::filesystem::path file;
+    double metres_per_pixel = 0.001;
+    std::vector<double> origin_m = {0.0, 0.0};
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("file", file, "A PNG of the goal as seen along -z; white is cloth. x grows to the right, y upwards.");
+      v("metres_per_pixel", metres_per_pixel, range(1e-6, 1, "m"), "Edge of a pixel.");
+      v("origin_m", origin_m, range(-100, 100, "m"), "x and y of the lower left corner of the picture.");
+    }
+  } mask;
   ConfigNode controls;
   struct Random {
     double min_distance_mm = 45.0;
@@ -36,6 +51,11 @@ struct GoalParams {
   void visit(Visitor& v) {
     v("obj", obj, "A mesh of the garment in its goal shape.");
     v("example", example, "A recorded session (session.h5); its final shape is the goal.");
+    v("mesh", mesh,
+      "A mesh of the goal shape with vertices of its own, .obj in metres with z up. Needs planning.loss chamfer or "
+      "silhouette.");
+    v("points", points, "Points of the goal shape: a .ply in metres with z up. Needs planning.loss chamfer.");
+    v.group("mask", mask, "The goal as a picture from above. Needs planning.loss silhouette.");
     v("controls", controls, "Controls to simulate: a list of rows, or one row repeated until release.");
     v.group("random", random, "The result of a random trajectory; used if no other goal is given.");
     v("material", material, range(0, 1),
@@ -48,7 +68,9 @@ struct GoalParams {
 };
 
 struct SessionGoal {
-  Positions shape;          ///< [V, 3] m
+  Positions shape;  ///< [V, 3] m; 0 rows: the goal has no correspondence
+  /// A goal without correspondence, or what planning.loss chamfer or silhouette sees of `shape`; else null.
+  std::shared_ptr<const GoalSurface> surface;
   Positions default_shape;  ///< [V, 3] m: the result of the default control
   Controls controls;        ///< [k, C] of a goal that was simulated, else 0 rows
 };
@@ -60,15 +82,16 @@ PropertyVector property_vector(const std::vector<double>& values);
 /// @return [k, C]. @throws ConfigError for a row of the wrong length or a number outside the control's bounds.
 Controls read_controls(const ConfigNode& node, const Trajectory& trajectory, Index horizon);
 
-/// Reads the goal's shape or controls, if given. Simulates nothing.
-/// @param origin the node with `goal`, for messages. @throws ConfigError.
-SessionGoal read_goal(const GoalParams& params, const ConfigNode& origin, const Task& task);
+/// Reads the goal's shape, surface or controls, if given. Simulates nothing.
+/// @param loss of planning. @param origin the node with `goal`, for messages.
+/// @throws ConfigError, also for a loss that the goal does not have.
+SessionGoal read_goal(const GoalParams& params, const std::string& loss, const ConfigNode& origin, const Task& task);
 
-/// Simulates the goal, unless read_goal() has its shape, and the result of the default control.
-/// @param given from read_goal(). @param seed of a random goal.
+/// Simulates the goal, unless read_goal() has it, and the result of the default control.
+/// @param given from read_goal(). @param loss of planning. @param seed of a random goal.
 /// @param true_material nullopt: unknown; goal.material replaces it, or else the middle of every range.
 /// @throws Error if no random trajectory gives a goal; Diverged.
-SessionGoal make_goal(SessionGoal given, const GoalParams& params, const Task& task, std::uint64_t seed,
-                      const std::optional<MaterialProperties>& true_material, Host& host);
+SessionGoal make_goal(SessionGoal given, const GoalParams& params, const std::string& loss, const Task& task,
+                      std::uint64_t seed, const std::optional<MaterialProperties>& true_material, Host& host);
 
 }  // namespace weft

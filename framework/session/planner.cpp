@@ -38,6 +38,10 @@ Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigN
   return weights * (static_cast<double>(vertices) / weights.sum());
 }
 
+double goal_distance_mm(const PlanRequest& request, const Positions& shape) {
+  return request.goal ? mean_distance_mm(shape, *request.goal) : request.surface->chamfer_mm(shape);
+}
+
 Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
                  std::shared_ptr<const Optimiser> optimiser, const PlannerParams& params, Host& host)
     : task_(task),
@@ -49,6 +53,11 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
   mean_params_.loss = "mean";
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
     throw Unsupported("the optimiser needs gradients, but the predictor has none; choose a gradient-free optimiser");
+  }
+  if (optimiser_->capabilities().needs_residuals && params_.loss == "silhouette") {
+    throw Unsupported(
+        "the optimiser needs residuals, which planning.loss = silhouette does not have; choose another optimiser, or "
+        "planning.loss = chamfer");
   }
   weights_ = vertex_weights(params_, task_.garment->vertex_count());
 }
@@ -83,7 +92,7 @@ Plan Planner::plan(const PlanRequest& request) const {
     starts.col(i) = bounds.clamp(starts.col(i));
   }
 
-  PlanningObjective objective(task_, *predictor_, params_, weights_, request, plan.horizon);
+  PlanningObjective objective(task_, *predictor_, params_, weights_, request, plan.horizon, &host_);
   OptimiserOptions options;
   options.max_iterations = first ? params_.iterations : params_.replan_iterations;
   options.seed = RandomStream(request.seed, stream_key("opti"), static_cast<std::uint64_t>(request.round)).bits64();
@@ -162,7 +171,10 @@ PlanPoint Planner::search_near(const PlanRequest& request, const LocalSearch& se
   const auto& trajectory = *task_.trajectory;
   PlanRequest shifted = request;
   // |mean + offset - goal| = |mean - (goal - offset)|
-  shifted.goal = std::make_shared<const Positions>(*request.goal - search.offset);
+  if (request.surface)
+    shifted.offset = std::make_shared<const Positions>(search.offset);
+  else
+    shifted.goal = std::make_shared<const Positions>(*request.goal - search.offset);
   shifted.release = search.anchor.release;
   const Index horizon = search.anchor.horizon;
   PlanningObjective objective(task_, *predictor_, mean_params_, weights_, shifted, horizon);
@@ -214,7 +226,7 @@ Plan Planner::plan_of(const PlanRequest& request, const PlanPoint& point) const 
   plan.controls = controls_of(request, point);
   const Controls states = task_.trajectory->segment_states(task_.manipulation, request.state, plan.controls);
   plan.releases = task_.trajectory->released(states.row(states.rows() - 1).transpose());
-  plan.predicted_error_mm = mean_distance_mm(plan.shapes.back().mean, *request.goal);
+  plan.predicted_error_mm = goal_distance_mm(request, plan.shapes.back().mean);
   return plan;
 }
 

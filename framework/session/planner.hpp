@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "session/goal_surface.hpp"
 #include "session/search_end.hpp"
 #include "weft/host.hpp"
 #include "weft/optimiser.hpp"
@@ -45,8 +46,9 @@ struct PlannerParams {
     v("activity_weight", activity_weight, range(0, 1e6, "mm^2"), "beta of eq. 4.");
     v("slowness_weight", slowness_weight, range(0, 1e6),
       "Weight in L_act of segments that are too slow to finish within the horizon.");
-    v("loss", loss, choice({"mean", "expected"}),
-      "mean: squared error of the predicted mean, as in eq. 4. expected: expected squared error, which adds sigma^2.");
+    v("loss", loss, choice({"mean", "expected", "chamfer", "silhouette"}),
+      "mean: squared error of the predicted mean, as in eq. 4. expected: expected squared error, which adds sigma^2. "
+      "chamfer: squared distances from the nearest points of the goal, and back. silhouette: the same as seen along -z.");
     v("vertices", vertices, range(0, 1e9), "Vertices that count in the error; default: all.");
     v("vertex_weights", vertex_weights, range(0, 1e9), "Weights of these vertices, scaled to mean 1; default: equal.");
     v("time_budget_s", time_budget_s, range(0, 1e6, "s"), "Stop a plan after this time; 0: never.");
@@ -65,13 +67,20 @@ struct PlanRequest {
   std::shared_ptr<const Positions> shape;     ///< [V, 3] m: s_i
   std::shared_ptr<const Positions> previous;  ///< one segment earlier, or null
   Vector state;                               ///< [S]
-  std::shared_ptr<const Positions> goal;      ///< [V, 3] m: s*
+  std::shared_ptr<const Positions> goal;      ///< [V, 3] m: s*; null: the goal has no correspondence
+  /// The goal of planning.loss chamfer and silhouette, which then decides alone; null with the other losses.
+  std::shared_ptr<const GoalSurface> surface;
+  std::shared_ptr<const Positions> offset;  ///< [V, 3] m: added to the predicted mean, with `surface`; null: none
   MaterialKnowledge knowledge;
   Controls warm_start;  ///< the rest of the previous plan; 0 rows: the default trajectory
   Index release = 0;    ///< 1-based segment at whose end the cloth is released; 0: the search chooses it
   Index round = 0;      ///< number of the plan in the session; keys the noise
   std::uint64_t seed = 0;
 };
+
+/// How far a shape is from the goal, mm: as far as the vertices are known, their mean distance, else
+/// GoalSurface::chamfer_mm().
+double goal_distance_mm(const PlanRequest& request, const Positions& shape);
 
 /// A plan as the optimiser sees it.
 struct PlanPoint {
@@ -86,7 +95,7 @@ struct Plan {
   Index horizon = 0;                        ///< b of the search, at most the predictor's max_segments()
   bool releases = false;                    ///< false: progress is still below 1 after b segments
   double loss = 0.0;                        ///< residual planning loss of the winner, mm^2
-  double predicted_error_mm = 0.0;          ///< mean vertex distance of the predicted final shape to the goal
+  double predicted_error_mm = 0.0;          ///< goal_distance_mm() of the predicted final shape
   Index instance = 0;                       ///< the winner
   std::vector<double> losses;               ///< [instances], residual
   std::vector<std::vector<double>> curves;  ///< [iterations] of [instances]: best loss so far

@@ -41,7 +41,7 @@ Controls states_pullback(const Task& task, ConstVec start, const Controls& contr
 }  // namespace
 
 PlanningObjective::PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params,
-                                     const Vector& weights, const PlanRequest& request, Index horizon)
+                                     const Vector& weights, const PlanRequest& request, Index horizon, Host* host)
     : task_(task),
       predictor_(predictor),
       params_(params),
@@ -49,7 +49,8 @@ PlanningObjective::PlanningObjective(const Task& task, const Predictor& predicto
       request_(request),
       horizon_(horizon),
       moments_(params.loss == "expected" ? Moments::mean_and_sigma : Moments::mean),
-      range_(predictor.control_range()) {
+      range_(predictor.control_range()),
+      host_(host) {
   if (request.release < 0 || request.release > horizon)
     throw ShapeError("planning objective: release = " + std::to_string(request.release) + ", must be in [0, " +
                      std::to_string(horizon) + "]");
@@ -57,19 +58,41 @@ PlanningObjective::PlanningObjective(const Task& task, const Predictor& predicto
 
 ObjectiveCapabilities PlanningObjective::capabilities() const {
   const Index controls = task_.trajectory->controls().size();
+  const bool has_residuals = !request_.surface || request_.surface->kind() != GoalKind::silhouette;
+  if (!has_residuals) return {.gradients = predictor_.capabilities().gradients, .residuals = 0};
   return {.gradients = predictor_.capabilities().gradients,
           .residuals = shape_rows() + (horizon_ - 1) * controls + horizon_ + (request_.release > 0 ? 2 : 0)};
 }
 
-double PlanningObjective::shape_loss(const Positions& difference) const {
+PlanningObjective::ShapeTerm PlanningObjective::shape_term(const Positions& mean, const Positions* sigma,
+                                                           bool with_gradient) const {
+  ShapeTerm term;
+  if (const auto& surface = request_.surface) {
+    const Positions shape = request_.offset ? Positions(mean + *request_.offset) : mean;
+    term.pairs = surface->pairs(shape);
+    term.residuals = surface->residuals(term.pairs, shape);
+    term.loss = 0.5 * term.residuals.squaredNorm();
+    if (with_gradient) term.d_mean = surface->pullback(term.pairs, term.residuals);
+    return term;
+  }
+  // Row v is weighted by the vertex's weight, both in the loss and in its gradient.
+  const Positions difference = mean - *request_.goal;
   const Positions weighted = weights_.asDiagonal() * difference;
-  return kSquareMm / static_cast<double>(difference.size()) * weighted.cwiseProduct(difference).sum();
+  const double weight = kSquareMm / static_cast<double>(difference.size());
+  term.loss = weight * weighted.cwiseProduct(difference).sum();
+  if (with_gradient) term.d_mean = 2.0 * weight * weighted;
+  if (sigma == nullptr) return term;
+  // E |x - s*|^2 = |mu - s*|^2 + sigma^2
+  const Positions weighted_sigma = weights_.asDiagonal() * *sigma;
+  term.sigma_loss = weight * weighted_sigma.cwiseProduct(*sigma).sum();
+  if (with_gradient) term.d_sigma = 2.0 * weight * weighted_sigma;
+  return term;
 }
 
 double PlanningObjective::loss_of(const Positions& shape, const Controls& controls, Index u) const {
   Controls padded = task_.trajectory->default_controls(horizon_);
   padded.topRows(controls.rows()) = controls;
-  return shape_loss(shape - *request_.goal) +
+  return shape_term(shape, nullptr, false).loss +
          params_.activity_weight * activity_loss(task_, request_.state, padded, u, params_.slowness_weight, nullptr);
 }
 
@@ -93,34 +116,35 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
   result.costs.resize(n);
   std::vector<std::vector<ShapeCotangent>> cotangents(n);
   std::vector<Controls> d_controls(n);  // of all but the shape
+  std::vector<ShapeTerm> terms(n);
+  const auto find_term = [&](Index i) {
+    if (!prediction->failure(i).empty()) return;
+    const auto& shape = prediction->shapes()[i].front();
+    terms[i] = shape_term(shape.mean, moments_ == Moments::mean ? nullptr : &shape.sigma, wanted.gradients);
+  };
+  if (host_ && request_.surface) {
+    host_->parallel_for(n, find_term);
+  } else {
+    for (Index i = 0; i < n; ++i) find_term(i);
+  }
   for (Index i = 0; i < n; ++i) {
     cotangents[i].resize(1);
     if (!prediction->failure(i).empty()) {
       result.costs(i) = std::numeric_limits<double>::infinity();
       continue;
     }
-    // Row v is weighted by the vertex's weight, both in the loss and in its gradient.
-    const auto& shape = prediction->shapes()[i].front();
-    const Positions difference = shape.mean - *request_.goal;
-    const Positions weighted = weights_.asDiagonal() * difference;
-    const double weight = kSquareMm / static_cast<double>(difference.size());
     const Index u = cases[i].segments.front();
     const double activity = activity_loss(task_, request_.state, cases[i].controls, u, params_.slowness_weight,
                                           wanted.gradients ? &d_controls[i] : nullptr);
     std::vector<Controls> d_release;
     const Vector release = release_residuals(cases[i].controls, wanted.gradients ? &d_release : nullptr);
-    result.costs(i) = weight * weighted.cwiseProduct(difference).sum() + params_.activity_weight * activity +
-                      0.5 * release.squaredNorm();
-    if (wanted.gradients) {
-      d_controls[i] *= params_.activity_weight;
-      for (Index k = 0; k < release.size(); ++k) d_controls[i] += release(k) * d_release[k];
-    }
-    if (wanted.gradients) cotangents[i].front().mean = 2.0 * weight * weighted;
-    if (moments_ == Moments::mean) continue;
-    // E |x - s*|^2 = |mu - s*|^2 + sigma^2
-    const Positions weighted_sigma = weights_.asDiagonal() * shape.sigma;
-    result.costs(i) += weight * weighted_sigma.cwiseProduct(shape.sigma).sum();
-    if (wanted.gradients) cotangents[i].front().sigma = 2.0 * weight * weighted_sigma;
+    result.costs(i) =
+        terms[i].loss + params_.activity_weight * activity + 0.5 * release.squaredNorm() + terms[i].sigma_loss;
+    if (!wanted.gradients) continue;
+    d_controls[i] *= params_.activity_weight;
+    for (Index k = 0; k < release.size(); ++k) d_controls[i] += release(k) * d_release[k];
+    cotangents[i].front().mean = std::move(terms[i].d_mean);
+    if (moments_ != Moments::mean) cotangents[i].front().sigma = std::move(terms[i].d_sigma);
   }
   if (wanted.gradients) {
     const auto gradients = prediction->pullback(cotangents);
@@ -132,7 +156,7 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
       result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
     }
   }
-  if (wanted.residuals || wanted.jacobians) add_residuals(x, cases, *prediction, wanted.jacobians, result);
+  if (wanted.residuals || wanted.jacobians) add_residuals(x, cases, *prediction, terms, wanted.jacobians, result);
   return result;
 }
 
@@ -192,6 +216,21 @@ Vector PlanningObjective::release_residuals(const Controls& controls, std::vecto
   return residuals;
 }
 
+Vector PlanningObjective::shape_residuals(const Positions& mean, const Positions* sigma, const ShapeTerm& term,
+                                          bool is_change) const {
+  if (const auto& surface = request_.surface)
+    return is_change ? surface->residual_change(term.pairs, mean) : term.residuals;
+  const Index coordinates = mean.size();
+  Vector weight(coordinates);
+  for (Index k = 0; k < coordinates; ++k)
+    weight(k) = std::sqrt(2.0 * kSquareMm * weights_(k / 3) / static_cast<double>(coordinates));
+  const auto flat = [](const Positions& p) { return Eigen::Map<const Vector>(p.data(), p.size()); };
+  Vector residuals(shape_rows());
+  residuals.head(coordinates) = weight.cwiseProduct(flat(is_change ? mean : Positions(mean - *request_.goal)));
+  if (moments_ != Moments::mean) residuals.tail(coordinates) = weight.cwiseProduct(flat(*sigma));
+  return residuals;
+}
+
 /// d controls / dx up to the release segment u, row by row: [u C, D]. Later controls have no effect.
 Matrix PlanningObjective::decoding(ConstVec x, const PredictionCase& one) const {
   const Index controls = one.controls.cols();
@@ -212,13 +251,9 @@ Matrix PlanningObjective::decoding(ConstVec x, const PredictionCase& one) const 
 
 /// Eq. 4 as 1/2 |r|^2. Jacobian and gradient hold the release segment u fixed.
 void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases,
-                                      const Prediction& prediction, bool with_jacobians, Evaluation& result) {
+                                      const Prediction& prediction, const std::vector<ShapeTerm>& terms,
+                                      bool with_jacobians, Evaluation& result) {
   const Index rows = capabilities().residuals, columns = dim(), n = x.cols();
-  const Index coordinates = request_.goal->size();
-  Vector shape_weight(coordinates);
-  for (Index k = 0; k < coordinates; ++k)
-    shape_weight(k) = std::sqrt(2.0 * kSquareMm * weights_(k / 3) / static_cast<double>(coordinates));
-  const auto flat = [](const Positions& p) { return Eigen::Map<const Vector>(p.data(), p.size()); };
   const double activity_weight = std::sqrt(2.0 * params_.activity_weight);
   result.residuals = Matrix::Zero(rows, n);
   if (with_jacobians) result.jacobians.assign(n, Matrix::Zero(rows, columns));
@@ -229,10 +264,7 @@ void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<Predictio
     const auto& one = cases[i];
     const Index u = one.segments.front();
     const auto& shape = prediction.shapes()[i].front();
-    const Positions difference = shape.mean - *request_.goal;
-    result.residuals.col(i).head(coordinates) = shape_weight.cwiseProduct(flat(difference));
-    if (moments_ != Moments::mean)
-      result.residuals.col(i).segment(coordinates, coordinates) = shape_weight.cwiseProduct(flat(shape.sigma));
+    result.residuals.col(i).head(shape_rows()) = shape_residuals(shape.mean, &shape.sigma, terms[i], false);
     Matrix d_activity;
     const Vector activity = activity_residuals(task_, request_.state, one.controls, u, params_.slowness_weight,
                                                with_jacobians ? &d_activity : nullptr);
@@ -263,10 +295,8 @@ void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<Predictio
   for (std::size_t i = 0; i < variables.size(); ++i) {
     for (std::size_t k = 0; k < variables[i].size(); ++k) {
       const auto& change = derivatives[i][k].front();
-      auto column = result.jacobians[i].col(variables[i][k]);
-      column.head(coordinates) = shape_weight.cwiseProduct(flat(change.mean));
-      if (moments_ != Moments::mean)
-        column.segment(coordinates, coordinates) = shape_weight.cwiseProduct(flat(change.sigma));
+      result.jacobians[i].col(variables[i][k]).head(shape_rows()) =
+          shape_residuals(change.mean, &change.sigma, terms[i], true);
     }
   }
 }

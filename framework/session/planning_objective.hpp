@@ -10,13 +10,15 @@ namespace weft {
 /// and a penalty keeps it there: the cloth must be released in segment u and not before.
 class PlanningObjective final : public Objective {
  public:
-  /// All arguments must live as long as the objective. @param weights [V].
+  /// All arguments must live as long as the objective. @param weights [V]. @param host whose threads find the nearest
+  /// points of a goal without correspondence; null: this one.
   PlanningObjective(const Task& task, const Predictor& predictor, const PlannerParams& params, const Vector& weights,
-                    const PlanRequest& request, Index horizon);
+                    const PlanRequest& request, Index horizon, Host* host = nullptr);
 
   Index dim() const override { return task_.trajectory->decision_size(horizon_); }
   /// Residuals: 3 V of the shape, with `loss: expected` also 3 V of sigma, then those of the activity loss, then, where
-  /// the release segment is fixed, two of the penalty. Cost = 1/2 |r|^2 up to rounding.
+  /// the release segment is fixed, two of the penalty. Cost = 1/2 |r|^2 up to rounding. With PlanRequest::surface those of
+  /// the shape are GoalSurface's; a silhouette has none.
   ObjectiveCapabilities capabilities() const override;
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override;
 
@@ -29,14 +31,27 @@ class PlanningObjective final : public Objective {
   Index evaluations() const { return evaluations_; }
 
  private:
-  double shape_loss(const Positions& difference) const;
+  /// The part of the loss that a shape makes.
+  struct ShapeTerm {
+    double loss = 0.0, sigma_loss = 0.0;
+    Positions d_mean, d_sigma;  // gradients
+    GoalPairs pairs;            // with a surface
+    Vector residuals;
+  };
+  ShapeTerm shape_term(const Positions& mean, const Positions* sigma, bool with_gradient) const;
   /// The penalty's residuals, [2] or [0]. @param gradients null, or set to their gradients with respect to the controls.
   Vector release_residuals(const Controls& controls, std::vector<Controls>* gradients) const;
   void limit_gradient(ConstVec x, Controls& gradient) const;
-  Index shape_rows() const { return (moments_ == Moments::mean ? 1 : 2) * request_.goal->size(); }
+  Index shape_rows() const {
+    const Index coordinates = 3 * task_.garment->vertex_count();
+    if (request_.surface) return request_.surface->residual_count();
+    return (moments_ == Moments::mean ? 1 : 2) * coordinates;
+  }
+  /// The residuals of a shape, [shape_rows()]; or their change with a change of it, the nearest points fixed.
+  Vector shape_residuals(const Positions& mean, const Positions* sigma, const ShapeTerm& term, bool is_change) const;
   bool uses_jvp(const EvaluationRequest& wanted) const { return wanted.jacobians && predictor_.capabilities().jvp; }
   void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
-                     bool with_jacobians, Evaluation& result);
+                     const std::vector<ShapeTerm>& terms, bool with_jacobians, Evaluation& result);
   Matrix decoding(ConstVec x, const PredictionCase& one) const;
 
   const Task& task_;
@@ -47,6 +62,7 @@ class PlanningObjective final : public Objective {
   Index horizon_;
   Moments moments_;
   std::optional<Box> range_;  // [C]
+  Host* host_;
   Index evaluations_ = 0;
 };
 

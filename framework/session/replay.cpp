@@ -44,19 +44,23 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
     request.knowledge = round.knowledge;
     if (params.knowledge == "true") request.knowledge = first_knowledge(params, origin, recorded->true_material);
     request.round = segment - 1;
-    result.goal = recorded->goal;
+    if (recorded->has_correspondence) result.goal = recorded->goal;
+    if (!recorded->has_correspondence || is_surface_loss(params.planning.loss))
+      request.surface = recorded->goal_surface(*task.garment, params.planning.loss);
   } else {
     const auto material = true_material_of(params);
     request.knowledge = first_knowledge(params, origin, material);
-    SessionGoal goal = read_goal(params.goal, origin, task);
+    SessionGoal goal = read_goal(params.goal, params.planning.loss, origin, task);
     const Task world = world_task(task, params.world, seed);
     const auto environment =
         make_environment(params.environment, origin, world, material, params.observation, seed, host);
-    result.goal = make_goal(std::move(goal), params.goal, world, seed, material, host).shape;
+    goal = make_goal(std::move(goal), params.goal, params.planning.loss, world, seed, material, host);
+    result.goal = goal.shape;
+    request.surface = goal.surface;
     request.shape = filled_start(task, environment->observe());
     request.state = task.trajectory->initial_state(task.manipulation);
   }
-  request.goal = std::make_shared<const Positions>(result.goal);
+  if (result.goal.rows() > 0) request.goal = std::make_shared<const Positions>(result.goal);
   result.knowledge = request.knowledge;
   result.plan = planner.plan(request);
   return result;

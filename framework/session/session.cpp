@@ -15,6 +15,7 @@ namespace weft {
 namespace {
 
 constexpr std::uint64_t kMaterialStream = 0x71;
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 constexpr std::uint64_t kKnowledgeStream = stream_key("know");
 
 /// Frames of a session that was observed only at the ends of segments: each holds the observation before it.
@@ -60,7 +61,7 @@ SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, H
   }
   if (params.correction.simulations > 0)
     setup.twin = std::make_shared<const Twin>(task, params.correction.simulator, host);
-  setup.goal = read_goal(params.goal, origin, task);
+  setup.goal = read_goal(params.goal, params.planning.loss, origin, task);
   return setup;
 }
 
@@ -114,6 +115,13 @@ void check_session(const SessionParams& params, const ConfigNode& origin, const 
             "left out with environment.command: the process is the world");
   }
   vertex_weights(params.planning, task.garment->vertex_count(), origin);
+  if (is_surface_loss(params.planning.loss)) {
+    for (const auto& [key, list] : {std::pair("planning.vertices", &params.planning.vertices),
+                                    std::pair("planning.vertex_weights", &params.planning.vertex_weights)})
+      if (!list->empty())
+        must_be(place(origin, key), "left out with planning.loss = " + params.planning.loss +
+                                        ", which compares nearest points; mean and expected have it");
+  }
 }
 
 std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host) {
@@ -164,8 +172,10 @@ class SessionRun {
     result_.goal = setup.goal.shape;
     result_.goal_controls = setup.goal.controls;
     result_.default_shape = setup.goal.default_shape;
-    result_.default_error_mm = mean_distance_mm(result_.default_shape, result_.goal);
-    goal_ = std::make_shared<const Positions>(result_.goal);
+    result_.surface = setup.goal.surface;
+    if (result_.goal.rows() > 0) goal_ = std::make_shared<const Positions>(result_.goal);
+    result_.default_error_mm = goal_ ? mean_distance_mm(result_.default_shape, *goal_) : kUnknown;
+    if (result_.surface) result_.default_chamfer_mm = result_.surface->chamfer_mm(result_.default_shape);
     state_ = trajectory_.initial_state(setup.task.manipulation);
     const Observation first = environment.observe();
     current_ = filled_start(setup.task, first);
@@ -199,7 +209,7 @@ class SessionRun {
     if (estimator_) chain_.add(control, std::move(seen));
     warm_start_ = round.plan.controls.bottomRows(round.plan.controls.rows() - 1);
     if (warm_start_.rows() == 0) warm_start_ = trajectory_.default_controls(1);
-    if (progress) progress(round, number, result_.error_mm);
+    if (progress) progress(round, number, goal_ ? result_.error_mm : result_.surface->chamfer_mm(*current_));
     result_.rounds.push_back(std::move(round));
   }
 
@@ -207,8 +217,12 @@ class SessionRun {
     result_.estimates = chain_.all();
     if (plans_) result_.dropped_corrections = plans_->dropped();
     result_.final_shape = environment_.true_shape().value_or(*current_);
-    result_.errors = shape_errors(result_.final_shape, result_.goal, setup_.task,
-                                  result_.shapes_are_true ? std::vector<bool>() : last_seen_);
+    const auto counting = result_.shapes_are_true ? std::vector<bool>() : last_seen_;
+    if (goal_)
+      result_.errors = shape_errors(result_.final_shape, *goal_, setup_.task, counting);
+    else
+      result_.errors = {kUnknown, kUnknown, kUnknown, result_.surface->iou(result_.final_shape)};
+    if (result_.surface) result_.chamfer_mm = result_.surface->chamfer_mm(result_.final_shape);
     result_.max_grasp_strain = environment_.max_grasp_strain();
     if (auto frames = environment_.frames()) result_.frames = std::move(*frames);
     if (result_.frames.empty()) result_.frames = held_frames(result_);
@@ -219,6 +233,7 @@ class SessionRun {
 
  private:
   double error_mm(const Observation& seen) const {
+    if (!goal_) return kUnknown;
     const auto truth = environment_.true_shape();
     return truth ? mean_distance_mm(*truth, result_.goal) : seen_distance_mm(seen, result_.goal);
   }
@@ -230,6 +245,8 @@ class SessionRun {
                         .previous = previous_,
                         .state = state_,
                         .goal = goal_,
+                        .surface = result_.surface,
+                        .offset = nullptr,
                         .knowledge = setup_.knowledge,
                         .warm_start = warm_start_,
                         .round = number,
@@ -299,7 +316,7 @@ SessionResult run_configured_session(const SessionParams& params, const ConfigNo
     const Step step("making the environment");
     return make_environment(params.environment, origin, world, material, params.observation, seed, host);
   }();
-  setup.goal = make_goal(std::move(setup.goal), params.goal, world, seed, material, host);
+  setup.goal = make_goal(std::move(setup.goal), params.goal, params.planning.loss, world, seed, material, host);
   SessionResult result = run_session(params, setup, *environment, host, progress);
   result.world = world_record(setup.task, params.world, seed);
   return result;

@@ -1,5 +1,6 @@
 #pragma once
 #include <functional>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -121,15 +122,21 @@ struct SessionResult {
   /// true: start, final_shape, frames and error_mm come from the environment's true shapes. false: they come from the
   /// observations. Unseen vertices are then filled in, and error_mm leaves them out.
   bool shapes_are_true = true;
-  Positions start, goal, final_shape, default_shape;  ///< [V, 3] m
-  Controls goal_controls;                             ///< [k, C] of a goal that was simulated, else 0 rows
+  Positions start, final_shape, default_shape;  ///< [V, 3] m
+  Positions goal;                               ///< [V, 3] m; 0 rows: the goal has no correspondence
+  std::shared_ptr<const GoalSurface> surface;   ///< as SessionGoal::surface
+  Controls goal_controls;                       ///< [k, C] of a goal that was simulated, else 0 rows
   std::optional<MaterialProperties> true_material;
   std::optional<WorldRecord> world;  ///< nullopt: the task's, or unknown
   /// [rounds]: the estimate after each round's segment. Beyond the predictor's max_segments() the last one stays. Empty
   /// unless knowledge is `estimate`.
   std::vector<Estimate> estimates;
-  double error_mm = 0.0, default_error_mm = 0.0;
-  ShapeErrors errors;  ///< of final_shape. Without true shapes the vertices count that the last observation saw.
+  double error_mm = 0.0, default_error_mm = 0.0;  ///< mean vertex distance to the goal; NaN without correspondence
+  /// GoalSurface::chamfer_mm() of final_shape and default_shape; NaN without a surface.
+  double chamfer_mm = std::numeric_limits<double>::quiet_NaN();
+  double default_chamfer_mm = std::numeric_limits<double>::quiet_NaN();
+  ShapeErrors
+      errors;  ///< of final_shape; NaN without correspondence, but for the IoU. Without true shapes the vertices count that the last observation saw.
   bool released = false;
   SettleResult settle;
   double simulate_seconds = 0.0;  ///< s in the environment's execute() and release()
@@ -155,7 +162,7 @@ struct PlanTimes {
 };
 PlanTimes plan_times(const SessionResult& result, Index lag);
 
-/// Called after every round, for progress.
+/// Called after every round, for progress. The error is error_mm; without correspondence chamfer_mm.
 using SessionProgress = std::function<void(const SessionRound&, Index round, double error_to_goal_mm)>;
 
 /// Runs one whole session: plan, execute one segment, observe, re-plan, ..., release, settle (section 4). With

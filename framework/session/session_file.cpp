@@ -42,6 +42,7 @@ class Reader {
     const auto values = file_.read(path);
     return Eigen::Map<const Controls>(values.data(), dims[0], dims[1]);
   }
+  Positions all_positions(const std::string& path) const { return file_.read_positions(path); }
   Positions positions(const std::string& path, Index vertices) const {
     Positions result = file_.read_positions(path);
     if (result.rows() != vertices) {
@@ -172,6 +173,38 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
   file.write(group + "/predicted_sigma", shape, sigma.data());
 }
 
+using WideFaces = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor>;
+
+constexpr std::pair<GoalKind, const char*> kGoalKinds[] = {
+    {GoalKind::surface, "surface"}, {GoalKind::points, "points"}, {GoalKind::silhouette, "silhouette"}};
+
+void write_goal_surface(Hdf5File& file, const GoalSurface& goal) {
+  for (const auto& [kind, name] : kGoalKinds)
+    if (kind == goal.kind()) file.write("/goal_surface/kind", std::string(name));
+  file.write("/goal_surface/positions", goal.positions());
+  if (goal.faces().rows() > 0) file.write("/goal_surface/faces", WideFaces(goal.faces().cast<std::int64_t>()));
+}
+
+void read_goal_surface(const Reader& in, SessionRecord& record) {
+  record.has_correspondence = false;
+  const std::string name = in.text("/goal_surface/kind");
+  bool is_known = false;
+  for (const auto& [kind, known] : kGoalKinds) {
+    if (name != known) continue;
+    record.goal_kind = kind;
+    is_known = true;
+  }
+  if (!is_known) in.fail("/goal_surface/kind", "must be surface, points or silhouette");
+  record.goal = in.all_positions("/goal_surface/positions");
+  if (record.goal.rows() == 0) in.fail("/goal_surface/positions", "holds no point");
+  if (record.goal_kind == GoalKind::points) return;
+  const auto corners = in.integers("/goal_surface/faces");
+  if (corners.empty() || corners.size() % 3 != 0) in.fail("/goal_surface/faces", "must have the shape [n, 3]");
+  for (const auto corner : corners)
+    if (corner < 0 || corner >= record.goal.rows()) in.fail("/goal_surface/faces", "names a point that does not exist");
+  record.goal_faces = Eigen::Map<const WideFaces>(corners.data(), corners.size() / 3, 3).cast<int>();
+}
+
 /// JSON has no number for what is not finite.
 nlohmann::ordered_json number(double value) {
   return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json();
@@ -199,17 +232,68 @@ nlohmann::ordered_json correction_json(const CorrectionRecord& record, std::size
 
 }  // namespace
 
+namespace {
+
+/// The garment as far as distances from a goal need it.
+Garment drawn_garment(const SessionRecord& session) {
+  Garment garment;
+  garment.positions = session.start;
+  garment.faces = session.faces;
+  return garment;
+}
+
+}  // namespace
+
+double SessionRecord::goal_distance_mm(const Positions& shape) const {
+  if (has_correspondence) return mean_distance_mm(shape, goal);
+  return GoalSurface(goal_kind, goal, goal_faces, drawn_garment(*this)).chamfer_mm(shape);
+}
+
+Vector SessionRecord::vertex_distances_mm(const Positions& shape) const {
+  if (has_correspondence) return 1000.0 * (shape - goal).rowwise().norm();
+  return GoalSurface(goal_kind, goal, goal_faces, drawn_garment(*this)).distances_mm(shape);
+}
+
+Mesh SessionRecord::drawn_goal() const {
+  Mesh mesh{.positions = goal, .faces = has_correspondence ? faces : goal_faces, .rest = {}, .source = ""};
+  mesh.rest.resize(0, 2);
+  if (has_correspondence || goal_kind != GoalKind::points) return mesh;
+  constexpr double kHalf = 0.0015;  // m
+  mesh.positions.resize(4 * goal.rows(), 3);
+  mesh.faces.resize(2 * goal.rows(), 3);
+  for (Index i = 0; i < goal.rows(); ++i) {
+    const int first = static_cast<int>(4 * i);
+    for (int k = 0; k < 4; ++k)
+      mesh.positions.row(first + k) =
+          goal.row(i) + Eigen::RowVector3d(k == 0 || k == 3 ? -kHalf : kHalf, k < 2 ? -kHalf : kHalf, 0.0);
+    mesh.faces.row(2 * i) << first, first + 1, first + 2;
+    mesh.faces.row(2 * i + 1) << first, first + 2, first + 3;
+  }
+  return mesh;
+}
+
+std::shared_ptr<const GoalSurface> SessionRecord::goal_surface(const Garment& garment, const std::string& loss) const {
+  const GoalKind seen_as = loss == "silhouette" ? GoalKind::silhouette : GoalKind::surface;
+  return std::make_shared<const GoalSurface>(has_correspondence ? seen_as : goal_kind, goal, goal_faces, garment);
+}
+
 std::string session_summary_json(const SessionResult& result) {
   using nlohmann::ordered_json;
   const auto list = [](const auto& v) { return std::vector<double>(v.data(), v.data() + v.size()); };
   ordered_json summary;
-  summary["error_mm"] = result.error_mm;
-  summary["default_error_mm"] = result.default_error_mm;
-  summary["max_error_mm"] = result.errors.max_mm;
+  const bool has_correspondence = result.goal.rows() > 0;
+  summary["error_mm"] = number(result.error_mm);
+  summary["default_error_mm"] = number(result.default_error_mm);
+  if (result.surface) {
+    summary["chamfer_mm"] = result.chamfer_mm;
+    summary["default_chamfer_mm"] = result.default_chamfer_mm;
+  }
+  summary["max_error_mm"] = number(result.errors.max_mm);
   summary["grasped_error_mm"] = number(result.errors.grasped_mm);
   summary["named_error_mm"] = number(result.errors.named_mm);
   summary["silhouette_iou"] = number(result.errors.iou);
-  for (const int limit : kSuccessLimitsMm) summary[success_key(limit)] = succeeds(result.error_mm, limit);
+  for (const int limit : kSuccessLimitsMm)
+    summary[success_key(limit)] = has_correspondence ? ordered_json(succeeds(result.error_mm, limit)) : ordered_json();
   summary["segments"] = result.rounds.size();
   summary["released"] = result.released;
   summary["settled"] = result.settle.settled;
@@ -280,13 +364,15 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   file.write("/garment/name", garment.name);
   file.write("/garment/hash", std::to_string(garment.hash));
   file.write("/garment/rest", garment.rest);
-  const Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor> faces = garment.faces.cast<std::int64_t>();
-  file.write("/garment/faces", faces);
+  file.write("/garment/faces", WideFaces(garment.faces.cast<std::int64_t>()));
   const std::vector<std::int64_t> held(task.manipulation.grasp_vertices.begin(),
                                        task.manipulation.grasp_vertices.end());
   file.write("/garment/grasp_vertices", {static_cast<Index>(held.size())}, held.data());
   file.write("/start", result.start);
-  file.write("/goal", result.goal);
+  if (result.goal.rows() > 0)
+    file.write("/goal", result.goal);
+  else
+    write_goal_surface(file, *result.surface);
   file.write("/default_shape", result.default_shape);
   file.write("/final_shape", result.final_shape);
   if (result.goal_controls.rows() > 0) file.write("/goal_controls", result.goal_controls);
@@ -334,12 +420,16 @@ SessionRecord read_session(const std::filesystem::path& path) {
   };
   const auto corners = checked("/garment/faces", in.integers("/garment/faces"));
   if (corners.size() % 3 != 0) in.fail("/garment/faces", "must have the shape [n, 3]");
-  using WideFaces = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 3, Eigen::RowMajor>;
   record.faces = Eigen::Map<const WideFaces>(corners.data(), corners.size() / 3, 3).cast<int>();
   const auto held = checked("/garment/grasp_vertices", in.integers("/garment/grasp_vertices"));
   record.grasp_vertices.assign(held.begin(), held.end());
   record.start = in.positions("/start", vertices);
-  record.goal = in.positions("/goal", vertices);
+  if (in.has("/goal")) {
+    record.goal = in.positions("/goal", vertices);
+    record.goal_faces = record.faces;
+  } else {
+    read_goal_surface(in, record);
+  }
   record.default_shape = in.positions("/default_shape", vertices);
   record.final_shape = in.positions("/final_shape", vertices);
   if (in.has("/true_material")) record.true_material = in.vector("/true_material", 4);

@@ -1,11 +1,14 @@
 #pragma once
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "session/goal_surface.hpp"
 #include "weft/error.hpp"
 #include "weft/material.hpp"
+#include "weft/mesh.hpp"
 #include "weft/types.hpp"
 
 namespace weft {
@@ -35,13 +38,25 @@ struct SessionRecord {
   Faces faces;
   RestPositions rest;
   std::vector<Index> grasp_vertices;
-  Positions start, goal, default_shape, final_shape;  ///< [V, 3] m
-  std::optional<MaterialProperties> true_material;    ///< nullopt: unknown
+  Positions start, default_shape, final_shape;  ///< [V, 3] m
+  bool has_correspondence = true;               ///< whether the goal's vertices are the garment's
+  GoalKind goal_kind = GoalKind::surface;
+  Positions goal;    ///< [V, 3] m; without correspondence the goal's own vertices, [G, 3]
+  Faces goal_faces;  ///< of the goal: those of the garment, or its own; 0 rows for points
+  std::optional<MaterialProperties> true_material;  ///< nullopt: unknown
   std::vector<Positions> frames;  ///< [12 segments + 1 + settle_frames()]: start, segments, release and settling
   std::vector<RoundRecord> rounds;
   std::vector<MaterialKnowledge> estimates;  ///< [segments]: after each of them; empty without estimation
 
   Index vertex_count() const { return start.rows(); }
+  /// How far a shape is from the goal, mm: mean vertex distance, without correspondence GoalSurface::chamfer_mm().
+  double goal_distance_mm(const Positions& shape) const;
+  /// The same of every vertex, [V], mm; without correspondence from the nearest point of the goal.
+  Vector vertex_distances_mm(const Positions& shape) const;
+  /// The goal as a mesh to draw, without rest positions: points are small squares.
+  Mesh drawn_goal() const;
+  /// The goal without correspondence, or as a planning loss chamfer or silhouette sees it.
+  std::shared_ptr<const GoalSurface> goal_surface(const Garment& garment, const std::string& loss) const;
   Index segments() const { return rounds.size(); }
   /// First frame of segment j = 0, 1, ...; for j = segments() the frame of the release.
   Index segment_frame(Index j) const { return j * kFramesPerSegment; }

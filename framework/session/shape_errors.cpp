@@ -119,8 +119,12 @@ bool is_near(const Positions& shape) { return shape.leftCols(2).cwiseAbs().maxCo
 
 double silhouette_iou(const Positions& a, const Positions& b, const Faces& faces, double cell) {
   require_shape("silhouettes: vertices", b.rows(), a.rows());
-  if (a.rows() == 0 || !is_near(a) || !is_near(b)) return kNone;
-  Silhouette first(a, faces, cell), second(b, faces, cell);
+  return silhouette_iou(a, faces, b, faces, cell);
+}
+
+double silhouette_iou(const Positions& a, const Faces& faces_a, const Positions& b, const Faces& faces_b, double cell) {
+  if (a.rows() == 0 || b.rows() == 0 || !is_near(a) || !is_near(b)) return kNone;
+  Silhouette first(a, faces_a, cell), second(b, faces_b, cell);
   if (first.empty() && second.empty()) return kNone;
   if (first.empty() || second.empty()) return 0.0;
   Index both = 0, any = 0;

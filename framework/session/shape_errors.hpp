@@ -35,6 +35,9 @@ inline std::string success_key(int limit_mm) { return "success_" + std::to_strin
 /// @param a, b [V, 3] m. @param cell m, edge of a cell.
 /// @return in [0, 1]; NaN if neither covers the centre of a cell, or if a shape
 /// is further than 100 m from the origin.
+double silhouette_iou(const Positions& a, const Faces& faces_a, const Positions& b, const Faces& faces_b,
+                      double cell = 0.001);
+/// Of two shapes of one mesh. @throws ShapeError for different numbers of vertices.
 double silhouette_iou(const Positions& a, const Positions& b, const Faces& faces, double cell = 0.001);
 
 }  // namespace weft

@@ -16,7 +16,8 @@ namespace weft {
 namespace {
 
 /// The shape after segment j is the pair of grasp targets at that control state, so a goal is reached exactly by the
-/// controls that made it, and the gradient is the chain of the trajectory's own pullbacks.
+/// controls that made it, and the gradient is the chain of the trajectory's own pullbacks. A third vertex of the garment
+/// lies between the two, 0.1 m in front of them.
 class TargetsPrediction final : public Prediction {
  public:
   /// Sigma is 0.2 m + sigma_slope times the position.
@@ -26,7 +27,10 @@ class TargetsPrediction final : public Prediction {
       const Controls states = task.trajectory->segment_states(task.manipulation, one.state, one.controls);
       std::vector<ShapeDistribution> shapes;
       for (const Index j : one.segments) {
-        const Positions targets = task.trajectory->targets(task.manipulation, states.row(j - 1).transpose());
+        const Positions hands = task.trajectory->targets(task.manipulation, states.row(j - 1).transpose());
+        Positions targets(task.garment->vertex_count(), 3);
+        targets.topRows(2) = hands;
+        if (targets.rows() == 3) targets.row(2) = 0.5 * (hands.row(0) + hands.row(1)) + Eigen::RowVector3d(0.1, 0, 0);
         shapes.push_back({targets, (0.2 + sigma_slope * targets.array()).matrix()});
       }
       shapes_.push_back(shapes);
@@ -51,7 +55,9 @@ class TargetsPrediction final : public Prediction {
         const Index last = one.segments[k] * kFramesPerSegment;
         Positions d_targets = cotangents[i][k].mean;
         if (cotangents[i][k].sigma.rows() > 0) d_targets += sigma_slope_ * cotangents[i][k].sigma;
-        Vector d = trajectory.targets_pullback(task_.manipulation, states[last], d_targets);
+        Positions d_hands = d_targets.topRows(2);
+        if (d_targets.rows() == 3) d_hands.rowwise() += 0.5 * d_targets.row(2);
+        Vector d = trajectory.targets_pullback(task_.manipulation, states[last], d_hands);
         for (Index f = last - 1; f >= 0; --f) {
           Vector d_state, d_control;
           trajectory.advance_pullback(task_.manipulation, states[f],
@@ -350,6 +356,37 @@ TEST(PlanningObjective, HalfTheSquaredResidualsAreTheCostAndTheirJacobianGivesIt
     });
     setup.plan();
   }
+}
+
+TEST(PlanningObjective, ResidualsOfASurfaceGiveItsCostAndGradientToo) {
+  Bench setup;
+  Garment garment;
+  garment.positions.resize(3, 3);
+  garment.positions << 0, 0.2, 0.002, 0, -0.2, 0.002, 0.1, 0, 0.002;
+  garment.faces.resize(1, 3);
+  garment.faces << 0, 1, 2;
+  setup.task.garment = std::make_shared<const Garment>(garment);
+  setup.predictor->bind(setup.task);
+  setup.request.shape = std::make_shared<const Positions>(garment.positions);
+  Positions goal = garment.positions;
+  goal.col(0).array() += 0.5;
+  setup.request.goal = nullptr;
+  setup.request.surface = std::make_shared<const GoalSurface>(GoalKind::surface, goal, garment.faces, garment);
+  setup.params.difference_step = 1e-3;
+  setup.optimiser = std::make_shared<Probe>([&](Objective& f, ConstMatrix starts) {
+    std::vector<Index> instances(starts.cols());
+    std::iota(instances.begin(), instances.end(), 0);
+    const Evaluation plain = f.evaluate(starts, instances, {.gradients = true});
+    const Evaluation e = f.evaluate(starts, instances, {.residuals = true, .jacobians = true});
+    EXPECT_EQ(e.costs, plain.costs);
+    for (Index i = 0; i < starts.cols(); ++i) {
+      EXPECT_NEAR(0.5 * e.residuals.col(i).squaredNorm(), e.costs(i), 1e-9 * e.costs(i));
+      const Vector gradient = e.jacobians[i].transpose() * e.residuals.col(i);
+      EXPECT_GT(plain.gradients.col(i).norm(), 0.0);
+      EXPECT_LT((gradient - plain.gradients.col(i)).norm(), 1e-4 * plain.gradients.col(i).norm()) << i;
+    }
+  });
+  setup.plan();
 }
 
 TEST(PlanningObjective, AFixedReleaseIsKeptByAPenalty) {

@@ -86,6 +86,93 @@ TEST_F(Session, GoalsByControlsByObjAndByRecordedSession) {
   EXPECT_EQ(by_example.goal, by_controls.final_shape);
 }
 
+/// Goals whose points are not the garment's.
+class GoalWithoutCorrespondence : public Session {
+ protected:
+  SessionResult folded(std::vector<std::string> more) {
+    more.insert(more.begin(), {"planning={instances: 2, iterations: 6, replan_iterations: 1, horizon: 12}",
+                               "true_material=[0.4, 0.6, 0.5, 0.5]"});
+    return run(more);
+  }
+  /// What a session makes of a goal that other controls reach, as a mesh whose vertices have other numbers.
+  std::string mesh() {
+    const SessionResult made =
+        folded({"goal.controls=[2.3, 0, 0.1, 0, 0]", "planning.iterations=0", "planning.replan_iterations=0"});
+    const Task cloth = task();
+    const Index n = made.goal.rows();
+    Mesh mesh{.positions = made.goal.colwise().reverse(), .faces = cloth.garment->faces, .rest = {}, .source = ""};
+    mesh.rest.resize(0, 2);
+    for (Index k = 0; k < mesh.faces.size(); ++k) mesh.faces.data()[k] = static_cast<int>(n - 1 - mesh.faces.data()[k]);
+    write_obj(folder_ / "other.obj", mesh, true);
+    goal_ = made.goal;
+    return "goal.mesh=" + (folder_ / "other.obj").string();
+  }
+  Positions goal_;
+};
+
+TEST_F(GoalWithoutCorrespondence, AMeshIsReachedByItsNearestPoints) {
+  const std::string mesh = this->mesh();
+  const SessionResult result = folded({mesh, "planning.loss=chamfer"});
+  EXPECT_EQ(result.goal.rows(), 0);
+  EXPECT_TRUE(std::isnan(result.error_mm));
+  EXPECT_LT(result.chamfer_mm, 0.7 * result.default_chamfer_mm);
+  EXPECT_LT(mean_distance_mm(result.final_shape, goal_), 0.7 * mean_distance_mm(result.default_shape, goal_));
+  const auto summary = nlohmann::json::parse(session_summary_json(result));
+  EXPECT_TRUE(summary["error_mm"].is_null());
+  EXPECT_TRUE(summary["success_10mm"].is_null());
+  EXPECT_EQ(summary["chamfer_mm"], result.chamfer_mm);
+  EXPECT_EQ(summary["silhouette_iou"], result.errors.iou);
+  // The file keeps the goal as it was given.
+  write_session(folder_ / "session.h5", result, task(), resolved_, "{}");
+  const SessionRecord record = read_session(folder_ / "session.h5");
+  EXPECT_FALSE(record.has_correspondence);
+  EXPECT_EQ(record.goal, result.surface->positions());
+  EXPECT_EQ(record.goal_faces, result.surface->faces());
+  EXPECT_NEAR(record.goal_distance_mm(result.final_shape), result.chamfer_mm, 1e-9);
+}
+
+TEST_F(GoalWithoutCorrespondence, CorrectionsGoByWhatTheGoalShows) {
+  const std::string mesh = this->mesh();
+  const SessionResult result =
+      folded({mesh, "planning.loss=chamfer", "predictor={plugin: rollout, params: {simulator: {plugin: bullet}}}",
+              "correction={simulations: 3, iterations: 3, later_simulations: 2}"});
+  ASSERT_TRUE(result.rounds.front().correction.has_value());
+  const auto& steps = result.rounds.front().correction->steps;
+  EXPECT_GT(steps.size(), 1u);
+  EXPECT_LE(result.rounds.front().correction->corrected_mm, result.rounds.front().correction->forecast_mm);
+  EXPECT_LT(result.chamfer_mm, result.default_chamfer_mm);
+}
+
+TEST_F(GoalWithoutCorrespondence, ASimulatedGoalKeepsItsVertices) {
+  const SessionResult result = folded({"goal.controls=[2.3, 0, 0.1, 0, 0]", "planning.loss=silhouette"});
+  EXPECT_LT(result.error_mm, result.default_error_mm);
+  EXPECT_LT(result.chamfer_mm, result.default_chamfer_mm);
+  ASSERT_NE(result.surface, nullptr);
+  EXPECT_EQ(result.surface->kind(), GoalKind::silhouette);
+}
+
+TEST_F(GoalWithoutCorrespondence, ALossThatCannotCompareIsRefused) {
+  const std::string mesh = this->mesh();
+  EXPECT_THAT([&] { folded({mesh}); },
+              testing::ThrowsMessage<ConfigError>(testing::HasSubstr("use chamfer or silhouette")));
+  EXPECT_THAT(
+      [&] {
+        folded({"goal.mask.file=" + folder_.write("mask.png", "").string(), "planning.loss=chamfer"});
+      },
+      testing::ThrowsMessage<ConfigError>(testing::HasSubstr("use silhouette")));
+  EXPECT_THAT(
+      [&] {
+        folded({mesh, "planning.loss=chamfer", "planning.vertices=[1]"});
+      },
+      testing::ThrowsMessage<ConfigError>(testing::HasSubstr("which compares nearest points")));
+  const std::string least_squares = "optimiser={plugin: ceres, params: {method: levenberg_marquardt}}";
+  EXPECT_THAT(
+      [&] {
+        folded({mesh, "planning.loss=silhouette", least_squares});
+      },
+      testing::ThrowsMessage<Unsupported>(testing::HasSubstr("planning.loss = silhouette does not have")));
+}
+
 TEST_F(Session, EstimatesBesideTheSessionAndRepeatsBitForBit) {
   const SessionResult one = run(kEstimate, 1), two = run(kEstimate, 2);
   ASSERT_EQ(one.rounds.size(), two.rounds.size());

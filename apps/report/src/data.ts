@@ -40,10 +40,12 @@ export interface Correction {
   simulations: { release: number; found: string; error_mm: number | null; best: boolean }[];
 }
 export interface Summary {
-  error_mm: number;
-  default_error_mm: number;
+  /** null: the goal's points are not the garment's; there is chamfer_mm then. */
+  error_mm: number | null;
+  default_error_mm: number | null;
+  chamfer_mm?: number; default_chamfer_mm?: number;
   /** Missing in sessions of earlier versions, as all keys of this line and the next. null: no such vertex was seen. */
-  max_error_mm?: number; grasped_error_mm?: number | null; named_error_mm?: number | null;
+  max_error_mm?: number | null; grasped_error_mm?: number | null; named_error_mm?: number | null;
   silhouette_iou?: number | null; success_10mm?: boolean; success_20mm?: boolean; success_30mm?: boolean;
   /** null: the task's. */
   world?: { spread: number; simulator: string } | null;
@@ -74,6 +76,8 @@ export interface SessionData {
   start_error_mm: number;
   frames: ArrayRef;
   goal: ArrayRef;
+  /** Of a goal whose points are not the garment's. Distances to such a goal are chamfer distances. */
+  goal_faces?: ArrayRef;
   default_shape: ArrayRef;
   rounds: Round[];
   /** After 0, 1, 2, ... segments, where the material was estimated. */

@@ -33,6 +33,8 @@ export function sessionPage(page: PageData): HTMLElement {
   const means = rounds.map((round) => new Shapes(round.mean));
   const sigmas = rounds.map((round) => new Shapes(round.sigma));
   const hands = garment.held?.length ?? 0;
+  const corresponds = !session.goal_faces;
+  const endError = summary.error_mm ?? summary.chamfer_mm ?? 0, defaultError = summary.default_error_mm ?? summary.default_chamfer_mm ?? 0;
   const last = frames.count - 1, release = session.release_frame;
 
   /** The segment a frame belongs to, counted from 1; 0 at the start. */
@@ -52,7 +54,8 @@ export function sessionPage(page: PageData): HTMLElement {
   let follow = false;
   let colouring: Colouring = 'fabric';
 
-  const viewer = new Viewer(decodeFaces(garment.faces), garment.vertices, `${garment.name} being folded`);
+  const viewer = new Viewer(decodeFaces(garment.faces), garment.vertices, `${garment.name} being folded`,
+    session.goal_faces && { faces: decodeFaces(session.goal_faces), vertices: goal.length / 3 });
 
   // Side panel.
   const check = (id: string, text: string, checked: boolean, swatch: HTMLElement | null = null) => {
@@ -72,7 +75,7 @@ export function sessionPage(page: PageData): HTMLElement {
   };
   const hasSigma = rounds.some((r) => r.sigma.shape[0] > 0);
   const colourSelect = h('select', { id: 'colouring' },
-    ...(Object.keys(kColourings) as Colouring[]).filter((name) => name !== 'sigma' || hasSigma).map((name) => h('option', { value: name }, kColourings[name].option)));
+    ...(Object.keys(kColourings) as Colouring[]).filter((name) => (name !== 'sigma' || hasSigma) && (name !== 'goal' || corresponds)).map((name) => h('option', { value: name }, kColourings[name].option)));
   colourSelect.addEventListener('change', () => {
     colouring = colourSelect.value as Colouring;
     update();
@@ -96,7 +99,7 @@ export function sessionPage(page: PageData): HTMLElement {
   // Scales of the colours are fixed over the session, so that frames can be compared.
   const range: Record<Colouring, number> = {
     fabric: 1,
-    goal: niceCeiling(Math.max(10, 0.5 * summary.default_error_mm, quantile([...distancesMm(frames.at(last), goal)], 0.98))),
+    goal: corresponds ? niceCeiling(Math.max(10, 0.5 * defaultError, quantile([...distancesMm(frames.at(last), goal)], 0.98))) : 1,
     prediction: niceCeiling(Math.max(1, 2.5 * Math.max(...rounds.flatMap((r) => r.prediction.error_mm), 0))),
     sigma: niceCeiling(Math.max(1, 1.5 * Math.max(...rounds.flatMap((r) => r.prediction.sigma_mm), 0))),
   };
@@ -214,12 +217,12 @@ export function sessionPage(page: PageData): HTMLElement {
   };
   const errors = [{ segment: 0, error: session.start_error_mm }, ...rounds.map((r, i) => ({ segment: i + 1, error: r.error_mm }))];
   const plannedErrors = summary.predicted_error_mm.map((error, i) => ({ segment: i, error }));
-  const highest = Math.max(summary.default_error_mm, ...plannedErrors.map((p) => p.error), 1);
+  const highest = Math.max(defaultError, ...plannedErrors.map((p) => p.error), 1);
   const errorChart = chart('Distance to the goal over segments', (width) => ({
     x: { domain: [0, Math.max(1, rounds.length)], ticks: wholeTicks(0, rounds.length, width), tickFormat: 'd', label: 'segments executed' },
     y: { domain: [0, 1.1 * Math.max(highest, session.start_error_mm)], label: 'mm', grid: true, nice: true },
     marks: [
-      Plot.ruleY([summary.default_error_mm], { stroke: 'var(--muted)', strokeDasharray: '6,4', strokeWidth: 1.5 }),
+      Plot.ruleY([defaultError], { stroke: 'var(--muted)', strokeDasharray: '6,4', strokeWidth: 1.5 }),
       Plot.lineY(errors, { x: 'segment', y: 'error', stroke: 'var(--c0)', strokeWidth: 2.2 }),
       Plot.dot(errors, { x: 'segment', y: 'error', fill: 'var(--c0)', r: 2.6, tip: true, title: (d) => `after segment ${d.segment}: ${fixed(d.error)} mm` }),
       Plot.lineY(plannedErrors, { x: 'segment', y: 'error', stroke: 'var(--c1)', strokeWidth: 2 }),
@@ -312,9 +315,9 @@ export function sessionPage(page: PageData): HTMLElement {
     const links = corrections.flatMap((one) => (one.forecast_mm === null || one.corrected_mm === null ? [] : [{ segment: one.in_force, from: one.forecast_mm, to: one.corrected_mm }]));
     return {
       x: { domain: [-0.3, Math.max(1, rounds.length)], ticks: wholeTicks(0, rounds.length, width), tickFormat: 'd', label: 'segments executed when in force' },
-      y: { type: 'sqrt', label: 'mm', grid: true, nice: true, domain: [0, Math.max(1, summary.error_mm, ...tried.map((row) => row.error))] },
+      y: { type: 'sqrt', label: 'mm', grid: true, nice: true, domain: [0, Math.max(1, endError, ...tried.map((row) => row.error))] },
       marks: [
-        Plot.ruleY([summary.error_mm], { stroke: 'var(--c0)', strokeWidth: 2 }),
+        Plot.ruleY([endError], { stroke: 'var(--c0)', strokeWidth: 2 }),
         Plot.link(links, { x: 'segment', y1: 'from', y2: 'to', stroke: 'var(--c1)', strokeWidth: 1.5 }),
         Plot.dot(tried, { x: 'segment', y: 'error', stroke: 'var(--muted)', r: 2.2 }),
         Plot.dot(links, { x: 'segment', y: 'from', fill: 'var(--c2)', symbol: 'square', r: 3 }),
@@ -363,8 +366,12 @@ export function sessionPage(page: PageData): HTMLElement {
     ]),
     ...summary.warnings.map((text) => h('p', { class: 'warning', role: 'note' }, `Warning: ${text}`)),
     h('dl', { class: 'tiles' },
-      tile('Error after settling', 'error_mm', fixed(summary.error_mm), 'mm'),
-      tile('With the default control', 'default_error_mm', fixed(summary.default_error_mm), 'mm'),
+      ...(corresponds ? [
+        tile('Error after settling', 'error_mm', fixed(endError), 'mm'),
+        tile('With the default control', 'default_error_mm', fixed(defaultError), 'mm')] : []),
+      ...(summary.chamfer_mm === undefined ? [] : [
+        tile('Chamfer distance after settling', 'chamfer_mm', fixed(summary.chamfer_mm), 'mm'),
+        tile('With the default control, chamfer', 'default_chamfer_mm', fixed(summary.default_chamfer_mm), 'mm')]),
       ...shapeTiles(summary),
       tile('Segments', 'segments', String(summary.segments), ''),
       tile('First plan', 'first_plan', duration(summary.plan_seconds[0] ?? 0), ''),
@@ -374,7 +381,7 @@ export function sessionPage(page: PageData): HTMLElement {
     h('section', { 'aria-label': '3D view and playback' },
       h('div', { class: 'stage' }, h('div', {}, viewer.element, player.element), panel)),
     h('div', { class: 'figures' },
-      section('error', 'Distance to the goal', 'Mean over all vertices.',
+      section('error', 'Distance to the goal', corresponds ? 'Mean over all vertices.' : 'Mean of the nearest distances, in both directions.',
         key({ text: 'cloth as it was', colour: 'var(--c0)', style: 'line' }, { text: 'end that each plan predicted', colour: 'var(--c1)', style: 'line' }, { text: 'end with the default control', colour: 'var(--muted)', style: 'dashed' }),
         errorChart.element),
       section('ahead', 'Prediction against execution', 'The prediction of the chosen round for the segments that followed.',
@@ -434,12 +441,14 @@ export function sessionPage(page: PageData): HTMLElement {
 /** The errors besides the mean vertex error. */
 function shapeTiles(summary: Summary): HTMLElement[] {
   if (summary.max_error_mm === undefined) return [];
+  const seenFromAbove = tile('IoU seen from above', 'silhouette_iou', fixed(summary.silhouette_iou, 3), '');
+  if (summary.error_mm === null) return summary.silhouette_iou === null ? [] : [seenFromAbove];
   const reached = [10, 20, 30].find((limit) => summary[`success_${limit}mm` as 'success_10mm']);
   return [
     tile('Largest of a vertex', 'max_error_mm', fixed(summary.max_error_mm), 'mm'),
     tile('Held vertices', 'grasped_error_mm', fixed(summary.grasped_error_mm), 'mm'),
     tile('Named vertices', 'named_error_mm', fixed(summary.named_error_mm), 'mm'),
-    tile('IoU seen from above', 'silhouette_iou', fixed(summary.silhouette_iou, 3), ''),
+    seenFromAbove,
     tile('Success', 'success', reached ? `within ${reached}` : 'not within 30', 'mm'),
   ];
 }

@@ -145,10 +145,11 @@ export class Viewer {
   private slow = 0;
   private lastDraw = 0;
 
-  constructor(faces: Uint32Array, vertices: number, name: string) {
+  /** @param goal another mesh of the goal than that of the cloth. */
+  constructor(faces: Uint32Array, vertices: number, name: string, goal = { faces, vertices }) {
     this.cloth = new Surface(faces, vertices, ['front', 'back'], 1);
     this.overlays = {
-      goal: new Surface(faces, vertices, ['goal', 'goal'], 0.42),
+      goal: new Surface(goal.faces, goal.vertices, ['goal', 'goal'], 0.42),
       prediction: new Surface(faces, vertices, ['prediction', 'prediction'], 0.42),
     };
     this.shadow = new Mesh(this.cloth.geometry, new MeshBasicMaterial({ side: DoubleSide, ...kOnTheGround }));

@@ -63,7 +63,8 @@ void add_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& above
 }
 #endif
 
-ObjFile read_other_format(const fs::path& path) {
+/// @param needs_faces refuse a point cloud.
+ObjFile read_other_format(const fs::path& path, bool needs_faces) {
 #ifdef WEFT_HAS_ASSIMP
   if (!fs::is_regular_file(path)) throw ConfigError(path.string() + ": no such file");
   if (is_lfs_pointer_file(path)) throw ConfigError(path.string() + ": " + kLfsPointer);
@@ -75,9 +76,10 @@ ObjFile read_other_format(const fs::path& path) {
   ObjFile file;
   add_node(*scene, *scene->mRootNode, aiMatrix4x4(), path.string(), file);
   if (file.vertices.empty()) throw ConfigError(path.string() + ": no vertices");
-  if (file.faces.empty()) throw ConfigError(path.string() + ": no faces");
+  if (needs_faces && file.faces.empty()) throw ConfigError(path.string() + ": no faces");
   return file;
 #else
+  static_cast<void>(needs_faces);
   throw ConfigError(
       path.string() +
       ": this build of weft reads OBJ only: assimp was missing when it was configured. Install it (Debian: "
@@ -85,12 +87,28 @@ ObjFile read_other_format(const fs::path& path) {
 #endif
 }
 
-}  // namespace
-
-MeshFile read_mesh_file(const fs::path& path, Findings& findings) {
+std::string extension_of(const fs::path& path) {
   std::string extension = path.extension().string();
   std::transform(extension.begin(), extension.end(), extension.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return extension;
+}
+
+}  // namespace
+
+Positions read_points(const fs::path& path) {
+  const std::string extension = extension_of(path);
+  if (extension != ".ply" && extension != ".obj")
+    throw ConfigError(path.string() + ": must be a .ply point cloud, or an .obj, of which the vertices are taken");
+  const ObjFile file = extension == ".obj" ? read_obj_file(path, false) : read_other_format(path, false);
+  Positions points(static_cast<Index>(file.vertices.size()), 3);
+  for (Index v = 0; v < points.rows(); ++v)
+    for (Index k = 0; k < 3; ++k) points(v, k) = file.vertices[v][k];
+  return points;
+}
+
+MeshFile read_mesh_file(const fs::path& path, Findings& findings) {
+  const std::string extension = extension_of(path);
   MeshFile file;
   if (extension == ".obj") {
     file.polygons = read_obj_file(path, false);
@@ -99,7 +117,7 @@ MeshFile read_mesh_file(const fs::path& path, Findings& findings) {
       file.frame = {"m", "z", "as the file says"};
     }
   } else if (extension == ".ply" || extension == ".stl" || extension == ".gltf" || extension == ".glb") {
-    file.polygons = read_other_format(path);
+    file.polygons = read_other_format(path, true);
     if (extension[1] == 'g') file.frame = {"m", "y", "as glTF is defined"};
   } else {
     throw ConfigError(path.string() + ": must be an .obj, .ply, .stl, .gltf or .glb mesh, or the .yaml of a garment");
