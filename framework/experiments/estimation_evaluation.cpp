@@ -279,7 +279,7 @@ SweepRunner estimation_runner(const EvaluationCases& cases, const DataParams& da
                             : known != nullptr ? executed_in(world, *known, host)
                                                : make_released(world, data, seed, host);
     const Index vertices = task.garment->vertex_count();
-    make_writable_folder(folder / "shapes");
+    make_folder_for_results(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, params.estimation.method));
     file.write("/shapes", {example.segments() + 1, vertices, 3}, example.shapes.data());
     file.commit();

@@ -156,7 +156,7 @@ SweepRunner planning_runner(const EvaluationCases& cases, const fs::path& folder
     SessionParams params;
     read_params(config, params);
     const SessionResult result = run_configured_session(params, config, host);
-    make_writable_folder(folder / "shapes");
+    make_folder_for_results(folder / "shapes");
     auto file = Hdf5File::create(shape_file(folder, seed, width_level(params.drawn_width)));
     file.write("/goal", result.goal);
     file.write("/final", result.final_shape);

@@ -11,7 +11,7 @@
 #include <tuple>
 #include <vector>
 
-#include "weft/error.hpp"
+#include "sdk/machine_failure.hpp"
 
 namespace weft {
 
@@ -55,14 +55,14 @@ namespace {
 std::string hash_bytes_of(const fs::path& file) {
   errno = 0;  // a stream does not report why it failed; errno does
   std::ifstream stream(file, std::ios::binary);
-  std::vector<char> block(1 << 20);
+  std::vector<char> block(1 << 16);
   Sha256 hash;
   while (stream) {
     stream.read(block.data(), static_cast<std::streamsize>(block.size()));
     hash.add(block.data(), static_cast<std::size_t>(stream.gcount()));
   }
   if (!stream.eof())
-    throw ConfigError(file.string() + ": cannot be read: " + (errno != 0 ? std::strerror(errno) : "the stream failed"));
+    throw ReadError(file.string() + ": cannot be read: " + (errno != 0 ? std::strerror(errno) : "the stream failed"));
   return hash.hex();
 }
 
@@ -95,7 +95,7 @@ std::string sha256_of_dataset(const fs::path& folder) {
     if (entry.path().filename().string().starts_with("shard-") && entry.path().extension() == ".h5")
       files.push_back(entry.path());
   }
-  if (problem) throw ConfigError(folder.string() + ": cannot be read: " + problem.message());
+  if (problem) throw ReadError(folder.string() + ": cannot be read: " + problem.message());
   std::sort(files.begin(), files.end());
   Sha256 hash;
   for (const auto& file : files) hash.add(file.filename().string() + " " + sha256_of_file(file) + "\n");

@@ -1,8 +1,11 @@
 #include "loader/guard.hpp"
 
 #include <exception>
+#include <new>
+#include <type_traits>
 
 #include "loader/checked.hpp"
+#include "sdk/machine_failure.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -23,8 +26,16 @@ template <class With>
 void as_weft_error(With&& with) {
   try {
     throw;
+  } catch (const ReadError& error) {
+    with(error.what(), static_cast<ReadError*>(nullptr));
   } catch (const ConfigError& error) {
     with(error.what(), static_cast<ConfigError*>(nullptr));
+  } catch (const WriteError& error) {
+    with(error.what(), static_cast<WriteError*>(nullptr));
+  } catch (const OutOfMemory& error) {
+    with(error.what(), static_cast<OutOfMemory*>(nullptr));
+  } catch (const std::bad_alloc&) {
+    with("there was not enough memory", static_cast<OutOfMemory*>(nullptr));
   } catch (const PluginError& error) {
     with(error.what(), static_cast<PluginError*>(nullptr));
   } catch (const ShapeError& error) {
@@ -47,7 +58,7 @@ void as_weft_error(With&& with) {
     throw;
   } catch (...) {
     as_weft_error([&]<class Type>(const char* what, Type*) {
-      const bool is_users = !config_too && std::is_same_v<Type, ConfigError>;
+      const bool is_users = !config_too && std::is_base_of_v<ConfigError, Type>;
       std::string text = what;
       if (!is_users && !where.empty()) {
         if (text.starts_with(name + ": ")) text.erase(0, name.size() + 2);

@@ -4,7 +4,9 @@
 #include <array>
 #include <exception>
 #include <new>
+#include <system_error>
 
+#include "sdk/machine_failure.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -34,6 +36,12 @@ WorkFailure current_failure() {
     return failure(WorkStatus::diverged, error.what());
   } catch (const std::bad_alloc&) {
     return failure(WorkStatus::lost, "there was not enough memory");
+  } catch (const OutOfMemory& error) {
+    return failure(WorkStatus::lost, error.what());
+  } catch (const ReadError& error) {
+    return failure(WorkStatus::lost, error.what());
+  } catch (const std::system_error& error) {  // no thread, no file, no pipe: what the machine refused
+    return failure(WorkStatus::lost, error.what());
   } catch (const std::exception& error) {
     return failure(WorkStatus::refused, error.what());
   } catch (...) {

@@ -11,7 +11,7 @@ enum class WorkStatus {
   diverged,  ///< a numerical failure: no finite state, no finite loss
   crashed,   ///< its process died of it
   hung,      ///< its process was ended by weft: no progress, or far more time than any other
-  lost       ///< its process was ended from outside, or there was no memory for it
+  lost       ///< its process was ended from outside, or the machine refused it memory, threads or a file
 };
 const char* to_string(WorkStatus status);
 /// @param name as to_string() gives it, or "failed" of earlier versions: refused. @throws ConfigError for another one.

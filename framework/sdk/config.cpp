@@ -141,9 +141,10 @@ ConfigNode parse_text(std::string_view text, Source& source) {
 
 // Reports a problem with a file, at the `extends` that names the file if there is one.
 using Asker = std::optional<ConfigNode>;
+template <class Failure = ConfigError>
 [[noreturn]] void fail_file(const fs::path& file, const Asker& asker, const std::string& message) {
   const std::string text = file.string() + ": " + message;
-  throw ConfigError(asker ? asker->where() + ": extends: " + text : text);
+  throw Failure(asker ? asker->where() + ": extends: " + text : text);
 }
 
 std::string read_text(const fs::path& file, const Asker& asker) {
@@ -152,8 +153,8 @@ std::string read_text(const fs::path& file, const Asker& asker) {
   std::ifstream stream(file, std::ios::binary);
   if (!stream) {
     const std::string reason = std::strerror(errno);
-    fail_file(file, asker,
-              fs::exists(file, ignored) ? "cannot be read: " + reason : "no such file, must be a YAML file");
+    if (!fs::exists(file, ignored)) fail_file(file, asker, "no such file, must be a YAML file");
+    fail_file<ReadError>(file, asker, "cannot be read: " + reason);
   }
   std::string text;
   char block[1 << 16];
@@ -163,7 +164,7 @@ std::string read_text(const fs::path& file, const Asker& asker) {
       fail_file(file, asker, "is larger than " + std::to_string(kMaxBytes / 1'000'000) + " MB, must be a YAML file");
     }
   }
-  if (stream.bad()) fail_file(file, asker, "cannot be read completely");
+  if (stream.bad()) fail_file<ReadError>(file, asker, "cannot be read completely");
   if (is_lfs_pointer(text)) fail_file(file, asker, kLfsPointer);
   return text;
 }

@@ -71,9 +71,17 @@ void clear_once(const fs::path& folder) {
     if (is_left_behind(entry.path().filename().string(), getpid())) fs::remove(entry.path(), ignored);
 }
 
-}  // namespace
+/// Makes a folder if needed. @return why no file can be written in it, with its name; empty: one can.
+std::string folder_problem(const fs::path& folder) {
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (!fs::is_directory(folder))
+    return folder.string() + ": the folder cannot be made: " + write_problem(error ? error.value() : ENOTDIR);
+  if (::access(folder.c_str(), W_OK | X_OK) == 0) return "";
+  return folder.string() + ": no file can be written in this folder: " + write_problem(errno);
+}
 
-WriteError::~WriteError() = default;
+}  // namespace
 
 std::string write_problem(int error_number) {
   const std::string reason = std::strerror(error_number);
@@ -93,15 +101,12 @@ std::string write_problem(int error_number) {
   }
 }
 
-void make_writable_folder(const std::filesystem::path& folder) {
-  std::error_code error;
-  std::filesystem::create_directories(folder, error);
-  if (!std::filesystem::is_directory(folder)) {
-    throw ConfigError(folder.string() +
-                      ": the folder cannot be made: " + write_problem(error ? error.value() : ENOTDIR));
-  }
-  if (::access(folder.c_str(), W_OK | X_OK) != 0)
-    throw ConfigError(folder.string() + ": no file can be written in this folder: " + write_problem(errno));
+void make_writable_folder(const fs::path& folder) {
+  if (const std::string problem = folder_problem(folder); !problem.empty()) throw ConfigError(problem);
+}
+
+void make_folder_for_results(const fs::path& folder) {
+  if (const std::string problem = folder_problem(folder); !problem.empty()) throw WriteError(problem);
 }
 
 bool is_lfs_pointer(std::string_view beginning) { return beginning.starts_with("version https://git-lfs.github.com/"); }

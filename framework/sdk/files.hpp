@@ -3,17 +3,10 @@
 #include <string>
 #include <string_view>
 
-#include "weft/error.hpp"
+#include "sdk/machine_failure.hpp"
 #include "weft/export.hpp"
 
 namespace weft {
-
-/// A result that cannot be written. It says nothing about the work, which may be done again when the disk is mended.
-class WEFT_API WriteError : public Error {
- public:
-  using Error::Error;
-  ~WriteError() override;
-};
 
 /// The reason of a failed write for people, from errno: what is wrong and, where there is one, the remedy.
 WEFT_API std::string write_problem(int error_number);
@@ -21,6 +14,8 @@ WEFT_API std::string write_problem(int error_number);
 /// Makes the folder if needed and checks that files can be written in it, so that work begins only if its results can be
 /// kept. @throws ConfigError naming the folder, the reason and the remedy.
 WEFT_API void make_writable_folder(const std::filesystem::path& folder);
+/// The same after work has begun. @throws WriteError: the folder could be written before.
+WEFT_API void make_folder_for_results(const std::filesystem::path& folder);
 
 /// Whether a file that begins like this is a pointer of Git LFS in the place of the file itself.
 WEFT_API bool is_lfs_pointer(std::string_view beginning);

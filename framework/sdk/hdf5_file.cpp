@@ -85,19 +85,20 @@ std::optional<long long> number_after(const std::string& text, const std::string
   return value;
 }
 
-/// Why a file cannot be opened, and what to do.
+/// Why a file that can be read cannot be opened, and what to do. @throws ReadError if it cannot be read now.
 std::string open_problem(const fs::path& file, const std::string& failure) {
   std::error_code ignored;
   if (fs::is_directory(file, ignored)) return "is a folder, must be an HDF5 file";
   if (failure.find("unable to lock file") != std::string::npos) {
-    return "is locked: another program writes it; wait until that has ended. If the file system has no locks, set "
-           "HDF5_USE_FILE_LOCKING=FALSE";
+    throw ReadError(file.string() +
+                    ": is locked: another program writes it; wait until that has ended. If the file system has no "
+                    "locks, set HDF5_USE_FILE_LOCKING=FALSE");
   }
   errno = 0;
   std::ifstream stream(file, std::ios::binary);
   char block[64];
   stream.read(block, sizeof(block));
-  if (!stream.is_open() || stream.bad()) return std::string("cannot be read: ") + std::strerror(errno);
+  if (!stream.is_open() || stream.bad()) throw ReadError(file.string() + ": cannot be read: " + std::strerror(errno));
   const std::string_view beginning(block, stream.gcount());
   if (is_lfs_pointer(beginning)) return kLfsPointer;
   if (beginning.empty()) return "is empty; copy it or make it again";

@@ -39,7 +39,7 @@ std::string read_whole(const std::filesystem::path& path) {
   if (error || !std::filesystem::exists(status)) throw ConfigError(path.string() + ": no such file");
   if (!std::filesystem::is_regular_file(status)) throw ConfigError(path.string() + ": not a file");
   const auto size = std::filesystem::file_size(path, error);
-  if (error) throw ConfigError(path.string() + ": cannot be read: " + error.message());
+  if (error) throw ReadError(path.string() + ": cannot be read: " + error.message());
   if (size > kMaxFileBytes) {
     throw ConfigError(path.string() + ": " + std::to_string(size) + " bytes, must be at most " +
                       std::to_string(kMaxFileBytes));
@@ -47,7 +47,7 @@ std::string read_whole(const std::filesystem::path& path) {
   std::ifstream in(path, std::ios::binary);
   std::string text(size, '\0');
   if (!in || !in.read(text.data(), static_cast<std::streamsize>(size))) {
-    throw ConfigError(path.string() + ": cannot be read");
+    throw ReadError(path.string() + ": cannot be read");
   }
   if (is_lfs_pointer(text)) throw ConfigError(path.string() + ": " + kLfsPointer);
   return text;

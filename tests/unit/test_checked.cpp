@@ -4,8 +4,10 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <new>
 
 #include "loader/where.hpp"
+#include "sdk/machine_failure.hpp"
 #include "unit/test_support.hpp"
 #include "unit/toy_trajectory.hpp"
 #include "weft/optimiser.hpp"
@@ -86,6 +88,13 @@ TEST_F(CheckedTrajectories, EveryExceptionIsNamedOnceAndKeepsItsType) {
   EXPECT_EQ(message([] { throw std::out_of_range("map::at"); }), "trajectory lift, planning: map::at");
   EXPECT_EQ(message([] { throw Diverged("lift: too far"); }), "trajectory lift, planning: too far");
   EXPECT_THROW(trajectory->advance(m, one, one), Diverged);
+  // Failures of the machine stay what they are, so that the work is tried again.
+  EXPECT_EQ(message([] { throw std::bad_alloc(); }), "trajectory lift, planning: there was not enough memory");
+  EXPECT_THROW(trajectory->advance(m, one, one), OutOfMemory);
+  EXPECT_EQ(message([] { throw ReadError("x.h5: is locked"); }), "trajectory lift, planning: x.h5: is locked");
+  EXPECT_THROW(trajectory->advance(m, one, one), ReadError);
+  EXPECT_EQ(message([] { throw WriteError("x.h5: full"); }), "trajectory lift, planning: x.h5: full");
+  EXPECT_THROW(trajectory->advance(m, one, one), WriteError);
   // A plugin that calls another one: the inner one is named.
   const auto outer_bad = std::make_shared<BadTrajectory>();
   outer_bad->before_advance = [&] { trajectory->advance(m, one, one); };

@@ -120,6 +120,11 @@ TEST(MakeWritableFolder, MakesItOrSaysWhyNot) {
               HasSubstr("/proc/self/weft: the folder cannot be made: "));
   EXPECT_THAT(test::message_of<ConfigError>([&] { make_writable_folder("/proc/self"); }),
               HasSubstr("/proc/self: no file can be written in this folder: "));
+  // Once work has begun the same is a failure of the machine.
+  make_folder_for_results(folder / "c/d");
+  EXPECT_TRUE(fs::is_directory(folder / "c/d"));
+  EXPECT_EQ(test::message_of<WriteError>([&] { make_folder_for_results(file); }),
+            file.string() + ": the folder cannot be made: Not a directory");
 }
 
 TEST(LfsPointer, IsToldByItsFirstLine) {

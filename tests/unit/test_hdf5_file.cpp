@@ -8,6 +8,7 @@
 #include <csignal>
 #include <cstdlib>
 
+#include "sdk/machine_failure.hpp"
 #include "unit/test_support.hpp"
 
 namespace weft {
@@ -65,7 +66,8 @@ TEST(Hdf5File, SaysThatAnotherProgramHoldsTheLock) {
   FILE* held = fopen(good.c_str(), "r+");
   ASSERT_NE(held, nullptr);
   ASSERT_EQ(flock(fileno(held), LOCK_EX | LOCK_NB), 0);
-  EXPECT_THAT(refusal(good), HasSubstr("good.h5: is locked: another program writes it"));
+  EXPECT_THAT(message_of<ReadError>([&] { Hdf5File::open(good); }),
+              HasSubstr("good.h5: is locked: another program writes it"));
   fclose(held);
   EXPECT_NO_THROW(Hdf5File::open(good));
 }

@@ -6,6 +6,8 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <new>
+#include <system_error>
 #include <thread>
 
 #include "processes/child_process.hpp"
@@ -13,6 +15,7 @@
 #include "processes/crash_report.hpp"
 #include "processes/work_status.hpp"
 #include "processes/worker_process.hpp"
+#include "sdk/machine_failure.hpp"
 #include "test_support.hpp"
 #include "weft/error.hpp"
 
@@ -204,7 +207,12 @@ TEST(WorkStatus, IsThatOfTheException) {
   };
   EXPECT_EQ(status_of([] { throw ConfigError("no"); }).status, WorkStatus::refused);
   EXPECT_EQ(status_of([] { throw Diverged("nan"); }).status, WorkStatus::diverged);
+  EXPECT_EQ(status_of([] { throw 42; }).status, WorkStatus::refused);
+  // What the machine refused is tried again.
   EXPECT_EQ(status_of([] { throw std::bad_alloc(); }).status, WorkStatus::lost);
+  EXPECT_EQ(status_of([] { throw OutOfMemory("predictor emd: no memory"); }).status, WorkStatus::lost);
+  EXPECT_EQ(status_of([] { throw ReadError("model.h5: is locked"); }).status, WorkStatus::lost);
+  EXPECT_EQ(status_of([] { throw std::system_error(EAGAIN, std::generic_category()); }).status, WorkStatus::lost);
   EXPECT_EQ(status_of([] { throw 42; }).message, "threw something that is not a std::exception");
   EXPECT_EQ(status_of([] { throw Error(""); }).message, "failed without a message");
 }

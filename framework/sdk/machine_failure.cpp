@@ -1,0 +1,9 @@
+#include "sdk/machine_failure.hpp"
+
+namespace weft {
+
+WriteError::~WriteError() = default;
+ReadError::~ReadError() = default;
+OutOfMemory::~OutOfMemory() = default;
+
+}  // namespace weft
