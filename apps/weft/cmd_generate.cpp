@@ -11,6 +11,7 @@
 #include "prepared.hpp"
 #include "report/times.hpp"
 #include "sdk/located_config.hpp"
+#include "sdk/machine_failure.hpp"
 #include "simulation/task_config.hpp"
 #include "work_options.hpp"
 
@@ -38,6 +39,8 @@ std::vector<Identity> recorded_in(const std::filesystem::path& folder) {
   for (const auto& file : list_shards(folder)) {
     try {
       return {identity_in(read_shard_header(file).provenance, file.string())};
+    } catch (const ReadError&) {
+      throw;
     } catch (const ConfigError&) {  // damaged: it is made again
     }
   }

@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <atomic>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -44,9 +43,7 @@ class ExampleServer {
     const auto seed = static_cast<std::uint64_t>(params_.seed);
     return example_to_hex(make_example(*simulator_, *task_, params_.data, seed, index));
   } catch (...) {
-    std::string line = std::string(kNoExample) + current_failure().message;
-    std::replace(line.begin(), line.end(), '\n', ' ');
-    return line;
+    return no_example_line(current_failure());
   }
 
  private:

@@ -1,5 +1,6 @@
 #include "learning/example_bytes.hpp"
 
+#include <algorithm>
 #include <cstring>
 #include <type_traits>
 
@@ -87,6 +88,19 @@ class Reader {
 };
 
 }  // namespace
+
+std::string no_example_line(const WorkFailure& failure) {
+  std::string line = std::string(kNoExample) + to_string(failure.status) + ": " + failure.message;
+  std::replace(line.begin(), line.end(), '\n', ' ');
+  return line;
+}
+
+WorkFailure read_no_example(std::string_view line) {
+  line.remove_prefix(kNoExample.size());
+  const auto colon = std::min(line.find(": "), line.size());
+  const WorkStatus status = work_status_named(std::string(line.substr(0, colon)));
+  return {status, std::string(line.substr(std::min(colon + 2, line.size())))};
+}
 
 std::string example_to_hex(const Example& e) {
   Writer out;

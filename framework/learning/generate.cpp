@@ -56,6 +56,8 @@ DatasetHeader header_to_add(const DatasetHeader& header, const Identity& identit
     DatasetHeader there;
     try {
       there = read_shard_header(file);
+    } catch (const ReadError&) {
+      throw;
     } catch (const ConfigError&) {
       continue;  // damaged: it is made again
     }
@@ -179,6 +181,8 @@ std::vector<Example> kept_examples(const fs::path& file, ShardRange& range, cons
   Shard shard;
   try {
     shard = read_shard(file);
+  } catch (const ReadError&) {
+    throw;  // it may be whole, so it is not made again
   } catch (const ConfigError& error) {
     ++report.refused;
     host.log(LogLevel::warning, std::string(error.what()) + "; it is made again");
@@ -354,8 +358,8 @@ class Production {
     if (end.kind == WorkEnd::Kind::cancelled) return std::nullopt;
     if (end.kind != WorkEnd::Kind::answered) return fail(failure_of(end));
     slowest_.add(end.cpu_seconds);
-    if (end.text.starts_with(kNoExample)) return fail({WorkStatus::refused, end.text.substr(kNoExample.size())});
     try {
+      if (end.text.starts_with(kNoExample)) return fail(read_no_example(end.text));
       Example example = example_from_hex(end.text);
       if (example.index == index) return example;
     } catch (const ConfigError&) {  // reported below

@@ -5,10 +5,12 @@
 
 #include <algorithm>
 #include <boost/dll/shared_library.hpp>
+#include <cfenv>
 #include <clocale>
 #include <cstdlib>
 #include <map>
 #include <mutex>
+#include <new>
 #include <set>
 #include <sstream>
 
@@ -70,6 +72,8 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   auto library = std::make_shared<Library>();
   library->entry.file = file;
   std::string detail;
+  std::fenv_t numbers;
+  std::fegetenv(&numbers);
   try {
     const std::string name = "library " + file.string();
     const PluginCall entry(name.c_str(), "loading");
@@ -79,6 +83,8 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   } catch (const std::exception& failure) {
     detail = failure.what();
   }
+  // A library linked with -ffast-math, or another that it needs, makes small numbers zero in the thread that loads it.
+  std::fesetenv(&numbers);
   if (!library->handle.is_loaded()) refuse("cannot be loaded as a shared library: " + detail);
   for (const char* symbol :
        {"weft_plugin_info", "weft_plugin_create", "weft_plugin_destroy", "weft_plugin_visit_params"}) {
@@ -279,6 +285,8 @@ void guarded(const Library& library, const std::string& doing, Call&& call) {
   const std::string what = library.entry.file.string() + ": " + doing + " " + library.entry.name + " failed: ";
   try {
     call();
+  } catch (const ReadError& error) {
+    throw ReadError(error.what());
   } catch (const ConfigError& error) {
     throw ConfigError(error.what());
   } catch (const PluginError& error) {
@@ -291,6 +299,8 @@ void guarded(const Library& library, const std::string& doing, Call&& call) {
     throw Diverged(error.what());
   } catch (const Error& error) {
     throw Error(error.what());
+  } catch (const std::bad_alloc&) {
+    throw OutOfMemory(what + "there was not enough memory");
   } catch (const std::exception& error) {
     throw PluginError(what + error.what());
   } catch (...) {

@@ -1,3 +1,5 @@
+#include <cfenv>
+#include <limits>
 #include <map>
 
 #include "loader/program_host.hpp"
@@ -51,6 +53,14 @@ TEST(BadPlugins, EachIsRefusedWithItsOwnReason) {
     EXPECT_THAT(message_of<PluginError>([&] { registry().find(file); }),
                 AllOf(StartsWith(file + ": refused: "), HasSubstr(reason)));
   }
+}
+
+TEST(BadPlugins, ALibraryThatChangesArithmeticAsItIsLoadedChangesNone) {
+  const PluginRegistry own({kFolder});
+  own.find((kFolder / "good.so").string());
+  EXPECT_EQ(std::fegetround(), FE_TONEAREST);
+  const volatile double smallest = std::numeric_limits<double>::denorm_min();
+  EXPECT_GT(smallest * 2.0, 0.0);
 }
 
 TEST(BadPlugins, ListShowsEveryRefusalAndTheGoodOnesFirst) {

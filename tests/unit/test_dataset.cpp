@@ -1,6 +1,9 @@
 // Examples: made from (seed, index) alone, files whole or refused, the same bytes in any order and on any threads.
+#include <sys/file.h>
+
 #include <algorithm>
 #include <atomic>
+#include <cstdio>
 #include <cstring>
 #include <fstream>
 #include <iterator>
@@ -9,6 +12,7 @@
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
 #include "learning/held_out.hpp"
+#include "sdk/machine_failure.hpp"
 #include "simulation/fold.hpp"
 #include "toy_trajectory.hpp"
 #include "unit/test_support.hpp"
@@ -171,6 +175,21 @@ TEST(Dataset, BytesDoNotDependOnThreadsPartsOrInterruptions) {
   const GenerateReport grown = generate(folder / "grown", 37, four);
   EXPECT_EQ(grown.kept, 16);
   EXPECT_EQ(contents(folder / "grown"), whole);
+}
+
+TEST(Dataset, AFileThatCannotBeReadNowIsNotMadeAgain) {
+  const Folder folder;
+  ToyHost host(1);
+  generate(folder.path(), 8, host);
+  const auto file = folder / shard_name(0);
+  const auto whole = contents(folder.path());
+  FILE* held = fopen(file.c_str(), "r+");
+  ASSERT_NE(held, nullptr);
+  ASSERT_EQ(flock(fileno(held), LOCK_EX | LOCK_NB), 0);
+  EXPECT_THAT(message_of<ReadError>([&] { generate(folder.path(), 16, host); }), HasSubstr("is locked"));
+  fclose(held);
+  EXPECT_EQ(contents(folder.path()), whole);
+  EXPECT_EQ(generate(folder.path(), 16, host).kept, 8);
 }
 
 TEST(Dataset, AnotherSeedOrConfigInTheFolderIsRefused) {

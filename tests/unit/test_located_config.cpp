@@ -60,6 +60,14 @@ TEST(ExampleBytes, KeepEveryBit) {
   EXPECT_EQ(back.failure, e.failure);
 }
 
+TEST(ExampleBytes, WhyThereIsNoneKeepsItsStatus) {
+  const std::string line = no_example_line({WorkStatus::lost, "model.h5: is locked:\nwait"});
+  EXPECT_TRUE(line.starts_with(kNoExample));
+  EXPECT_EQ(read_no_example(line).status, WorkStatus::lost);
+  EXPECT_EQ(read_no_example(line).message, "model.h5: is locked: wait");
+  EXPECT_THROW(read_no_example(std::string(kNoExample) + "nonsense"), ConfigError);
+}
+
 TEST(ExampleBytes, RefuseWhatIsCutOrChanged) {
   const std::string hex = example_to_hex(Example());
   for (const std::string& text : {std::string(), hex.substr(0, hex.size() - 2), hex + "00", "x" + hex.substr(1)})
