@@ -86,6 +86,20 @@ void Context::keep_output() {
 
 std::ostream& Context::output() { return kept_output != nullptr ? *kept_output : std::cout; }
 
+void Context::flush_output() {
+  errno = 0;
+  bool good = std::fflush(stdout) == 0 && std::ferror(stdout) == 0;
+  for (std::ostream* stream : {&std::cout, &output()}) good = stream->flush().good() && good;
+  if (!good) throw Error("the output cannot be written" + (errno != 0 ? std::string(": ") + std::strerror(errno) : ""));
+}
+
+void Context::open_standard_streams() {
+  for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    // open() takes the lowest number that is free.
+    if (fcntl(stream, F_GETFD) < 0 && open("/dev/null", O_RDWR) < 0) return;
+  }
+}
+
 void Context::complain(const std::string& line) const {
   if (!quiet) std::fprintf(stderr, "%s\n", line.c_str());
 }

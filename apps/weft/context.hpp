@@ -41,6 +41,10 @@ struct Context {
   static void keep_output();
   /// Where a command writes its result, such as JSON.
   static std::ostream& output();
+  /// Writes what is buffered of output() and of stdout. @throws Error with the reason if any of it was not written.
+  static void flush_output();
+  /// Opens stdin, stdout and stderr that are closed, as nothing: a result file must not get their numbers.
+  static void open_standard_streams();
   /// Prints a line about a failure to stderr; nothing with --quiet.
   void complain(const std::string& line) const;
 };

@@ -34,6 +34,7 @@ int main(int argc, char** argv) {
   using namespace weft::app;
   // Numbers are read and written with a point, whatever locale a library that was loaded before has set.
   std::setlocale(LC_NUMERIC, "C");
+  Context::open_standard_streams();
   CLI::App app{"weft: plans how two hands fold a piece of cloth whose fabric they do not know"};
   app.require_subcommand(1);
   app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (") + commit() + ")");
@@ -72,7 +73,7 @@ int main(int argc, char** argv) {
     const CrashWatch watch;
     if (context.json) Context::keep_output();
     const int code = context.action();
-    Context::output().flush();
+    Context::flush_output();
     return code;
   } catch (const ConfigError& error) {
     std::fprintf(stderr, "error: %s\n", error.what());

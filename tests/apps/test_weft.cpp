@@ -62,6 +62,16 @@ TEST(Program, WrongUseExitsWithTwoAndSaysWhy) {
   }
 }
 
+TEST(Program, OutputThatCannotBeWrittenIsAnError) {
+  for (const char* arguments : {"plugins", "plugins --json", "describe arc", "describe arc --json"}) {
+    const Outcome outcome = weft_command(std::string(arguments) + " >/dev/full");
+    EXPECT_EQ(outcome.code, 1) << arguments;
+    EXPECT_EQ(outcome.output, "error: the output cannot be written: No space left on device\n") << arguments;
+  }
+  // Without stdout and stderr: no file of the result gets their numbers, so none holds what is printed.
+  EXPECT_EQ(weft_command("plugins >&- 2>&- <&-").code, 0);
+}
+
 TEST(Program, RefusalsNameTheArgumentAndWhatIsAllowed) {
   const std::string experiments = WEFT_SOURCE_DIR "/configs/experiments/";
   const std::pair<std::string, std::string> cases[] = {
