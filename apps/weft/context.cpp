@@ -21,12 +21,23 @@ std::atomic<bool> interrupted = false;  // set in a signal handler: must be lock
 static_assert(std::atomic<bool>::is_always_lock_free);
 std::ostream* kept_output = nullptr;  // null: stdout as it is
 
+/// ^C; what Slurm, docker and `timeout` send; the end of a terminal or of a connection.
+constexpr int kStopSignals[] = {SIGINT, SIGTERM, SIGHUP};
+
 /// Answers at once: what is being done may take a while to end.
 void stop(int) {
   constexpr char kAnswer[] = "stopping; ^C or SIGTERM once more ends weft at once\n";
   interrupted = true;
   [[maybe_unused]] const auto written = write(STDERR_FILENO, kAnswer, sizeof(kAnswer) - 1);
-  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, SIG_DFL);
+  for (const int signal : kStopSignals) std::signal(signal, SIG_DFL);
+}
+
+/// The same for each of these signals. Under nohup SIGHUP stays ignored.
+void stop_on_signals() {
+  struct sigaction before {};
+  for (const int signal : kStopSignals)
+    if (signal != SIGHUP || (sigaction(signal, nullptr, &before) == 0 && before.sa_handler != SIG_IGN))
+      std::signal(signal, stop);
 }
 
 }  // namespace
@@ -51,7 +62,7 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
 
 std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed,
                                     PluginChecks checks) const {
-  for (const int signal : {SIGINT, SIGTERM}) std::signal(signal, stop);
+  stop_on_signals();
   HostOptions options;
   options.threads = jobs;
   options.seed = host_seed;

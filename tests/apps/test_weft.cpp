@@ -412,6 +412,33 @@ TEST(Program, AblateComparesArmsAndResumes) {
   EXPECT_THAT(wrong.output, AllOf(HasSubstr("arm 'no'"), HasSubstr("nearest: rprop")));
 }
 
+TEST(Program, ASweepThatIsAskedToStopEndsWithItsTable) {
+  const Folder folder;
+  folder.write("task.yaml",
+               kTowelTask + "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n");
+  const auto file = folder.write("ablation.yaml",
+                                 "task: task.yaml\n"
+                                 "factors: {noise: {low: {planning.noise: 0.1}, high: {planning.noise: 0.4}}}\n"
+                                 "seeds: {first: 1, count: 500}\n");
+  for (const char* signal : {"TERM", "HUP", "INT"}) {
+    const std::string out = (folder / signal).string();
+    // A shell makes its background processes ignore SIGINT; weft takes the signal all the same.
+    const Outcome outcome = test::run_shell("'" WEFT_PROGRAM "' ablate '" + file.string() + "' --out '" + out +
+                                            "' --jobs 2 & weft=$!\n"
+                                            "until ls '" +
+                                            out +
+                                            "'/cells/*.json >/dev/null 2>&1 || ! kill -0 $weft; do sleep 0.05; done\n"
+                                            "kill -" +
+                                            signal + " $weft; wait $weft");
+    EXPECT_EQ(outcome.code, 1) << signal << outcome.output;
+    EXPECT_THAT(outcome.output,
+                AllOf(HasSubstr("stopping; "), HasSubstr("error_mm"), HasSubstr("interrupted; run the same")))
+        << signal;
+    EXPECT_TRUE(std::filesystem::exists(out + "/ablation.csv")) << signal;
+    EXPECT_FALSE(std::filesystem::exists(out + "/claims")) << signal;
+  }
+}
+
 TEST(Program, WhatASimulatorCannotHonourIsSaid) {
   const Folder folder;
   const auto task =
