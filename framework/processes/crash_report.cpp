@@ -139,6 +139,9 @@ void print_place(const CrashReport& report, const char* function, char* text, st
     std::snprintf(place, sizeof(place), ", %s of %s", function, file);
   else if (report.plugin[0] != 0)
     std::snprintf(place, sizeof(place), ", %s+0x%llx", file, static_cast<unsigned long long>(report.offset));
+  // A library that dies as it is loaded has not said yet which plugin it is.
+  if (report.plugin[0] == 0 && std::strncmp(report.where, "library ", 8) == 0)
+    return void(std::snprintf(text, size, "%s", report.where));
   std::snprintf(text, size, "%s%s%s%s%s%s", report.plugin[0] != 0 ? "plugin " : "weft itself", report.plugin, place,
                 busy ? " (" : "", report.where, busy ? ")" : "");
 }

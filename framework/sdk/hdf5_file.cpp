@@ -127,7 +127,7 @@ struct Hdf5File::Impl {
     throw ConfigError(file.string() + ": " + path + " " + message);
   }
   hid_t open_dataset(const std::string& path) const {
-    const hid_t set = exists(path) ? H5Dopen2(id, path.c_str(), dataset_access()) : -1;
+    const hid_t set = H5Dopen2(id, path.c_str(), dataset_access());
     if (set < 0) fail(path, "is missing");
     return set;
   }
@@ -314,7 +314,7 @@ bool Hdf5File::has(const std::string& path) const {
 std::vector<std::string> Hdf5File::list(const std::string& group) const {
   const Lock lock(library_mutex());
   std::vector<std::string> names;
-  const Handle handle(impl_->exists(group) ? H5Gopen2(impl_->id, group.c_str(), group_access()) : -1, H5Gclose);
+  const Handle handle(H5Gopen2(impl_->id, group.c_str(), group_access()), H5Gclose);
   if (!handle.good()) impl_->fail(group, "is missing");
   H5G_info_t info{};
   H5Gget_info(handle, &info);

@@ -86,6 +86,14 @@ TEST(BadPlugins, TheGoodOneAmongThemWorks) {
   EXPECT_EQ(host->create<Trajectory>(ConfigNode::scalar("good"))->hands(), 2);
 }
 
+TEST(BadPlugins, ALibraryThatDiesAsItIsLoadedIsNamed) {
+  const std::string folder = (kFolder / "at_load").string();
+  const auto outcome = test::run_shell("WEFT_PLUGIN_PATH='" + folder + "' '" WEFT_PROGRAM "' plugins");
+  EXPECT_NE(outcome.code, 0);
+  EXPECT_THAT(outcome.output,
+              HasSubstr("error: SIGABRT (Aborted) in library " + folder + "/aborts_at_load.so, loading"));
+}
+
 TEST(BadPlugins, ThoseThatFailLaterSayWhichLibraryAndWhy) {
   const auto create = [](const std::string& name) {
     const auto plugins = std::make_shared<PluginRegistry>(std::vector<fs::path>{kFolder});

@@ -27,7 +27,9 @@ std::string bytes_of(const fs::path& file) {
 std::unique_ptr<ChildProcess> start_reader() {
   ChildOptions options;
   options.command = {(fs::read_symlink("/proc/self/exe").parent_path() / "weft_fuzz_inputs").string(), "--serve"};
-  options.environment = {{"ASAN_OPTIONS", "detect_leaks=0:max_allocation_size_mb=256:handle_abort=1"}};
+  options.environment = {
+      {"ASAN_OPTIONS",
+       "detect_leaks=0:max_allocation_size_mb=256:handle_abort=1:malloc_context_size=2:quarantine_size_mb=16"}};
   options.own_group = true;
   options.keep_errors = true;
   return std::make_unique<ChildProcess>(options);

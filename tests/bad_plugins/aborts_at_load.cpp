@@ -1,0 +1,10 @@
+#include <cstdlib>
+
+namespace {
+
+[[maybe_unused]] const bool never = [] {
+  std::abort();
+  return true;
+}();
+
+}  // namespace
