@@ -100,7 +100,7 @@ std::string open_problem(const fs::path& file, const std::string& failure) {
   stream.read(block, sizeof(block));
   if (!stream.is_open() || stream.bad()) throw ReadError(file.string() + ": cannot be read: " + std::strerror(errno));
   const std::string_view beginning(block, stream.gcount());
-  if (is_lfs_pointer(beginning)) return kLfsPointer;
+  if (is_lfs_pointer(beginning)) throw ReadError(file.string() + ": " + kLfsPointer);
   if (beginning.empty()) return "is empty; copy it or make it again";
   if (failure.find("truncated file") != std::string::npos) {
     const auto there = number_after(failure, "eof = "), stored = number_after(failure, "stored_eof = ");

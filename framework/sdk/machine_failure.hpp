@@ -12,7 +12,8 @@ class WEFT_API WriteError : public Error {
   ~WriteError() override;
 };
 
-/// A file that is there, but cannot be read now: locked, without permission, too many open files, a failing disk.
+/// A file that is there, but cannot be read now: locked, without permission, too many open files, a failing disk, a pointer
+/// of Git LFS in its place.
 class WEFT_API ReadError : public ConfigError {
  public:
   using ConfigError::ConfigError;

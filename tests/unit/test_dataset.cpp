@@ -189,6 +189,9 @@ TEST(Dataset, AFileThatCannotBeReadNowIsNotMadeAgain) {
   EXPECT_THAT(message_of<ReadError>([&] { generate(folder.path(), 16, host); }), HasSubstr("is locked"));
   fclose(held);
   EXPECT_EQ(contents(folder.path()), whole);
+  std::ofstream(file, std::ios::binary) << "version https://git-lfs.github.com/spec/v1\n";
+  EXPECT_THAT(message_of<ReadError>([&] { generate(folder.path(), 16, host); }), HasSubstr("git lfs pull"));
+  std::ofstream(file, std::ios::binary) << whole.begin()->second;
   EXPECT_EQ(generate(folder.path(), 16, host).kept, 8);
 }
 
