@@ -175,7 +175,7 @@ WorkEnd WorkerProcess::run_once(const std::string& request, const std::function<
 void serve_work(const std::function<std::string(const std::string& request)>& answer, std::atomic<bool>& cancelled) {
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   cancel_of_server = &cancelled;
-  std::signal(SIGINT, SIG_IGN);
+  for (const int signal : {SIGINT, SIGHUP}) std::signal(signal, SIG_IGN);
   std::signal(SIGTERM, [](int) { *cancel_of_server = true; });
   // Answers go to a copy of stdout, which nothing else can write to.
   const int out = fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 10);

@@ -76,8 +76,8 @@ class WorkerProcess {
 };
 
 /// The other side: answers every line of stdin with one line on stdout, until stdin ends. What else is printed to stdout
-/// goes to stderr. SIGTERM sets `cancelled`, and what is answered then does not count; SIGINT is ignored, since ^C in a
-/// terminal also reaches the parent.
+/// goes to stderr. SIGTERM sets `cancelled`, and what is answered then does not count; SIGINT and SIGHUP are ignored, since
+/// ^C in a terminal, and its end, also reach the parent.
 /// @param answer the answer to a request, one line; must not throw.
 void serve_work(const std::function<std::string(const std::string& request)>& answer, std::atomic<bool>& cancelled);
 
