@@ -57,6 +57,7 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work)
   const auto out = result_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
   const Identity identity = given.identity("evaluate physics");
   require_unmixed(context, out, identity);
+  const PlacedFolder placed(out);
 
   const auto say = [&](const std::vector<PhysicsRow>& some) {
     for (const auto& row : some) context.say(format_physics_row(row));
@@ -78,7 +79,6 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work)
   }
   if (given.host->cancelled()) throw Error("interrupted");
 
-  make_writable_folder(out);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));

@@ -79,6 +79,7 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
   const auto keep = [](const ParamInfo& info) { return info.name != "dataset" && !info.name.starts_with("data."); };
   const Identity identity = given.identity("evaluate prediction", keep, {}, {folders.begin(), folders.end()});
   require_unmixed(context, out, identity);
+  const PlacedFolder placed(out);
 
   const EvaluationWorkers workers{work.worker(), work.cell_limit_s, [&] { return given.host->cancelled(); }};
   PredictBatch predict;  // empty: in this process
@@ -88,7 +89,6 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
       evaluate_prediction(*predictor, given.task, dataset, given.params.evaluation, given.seed, *given.host, predict);
   if (given.host->cancelled()) throw Error("interrupted");
   const std::string json = prediction_evaluation_json(result), times = prediction_times_json(result);
-  make_writable_folder(out);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));

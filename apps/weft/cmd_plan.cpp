@@ -87,9 +87,10 @@ int run_alone(Context& context, const Options& options, const std::string& name,
   const auto folder = result_folder(context, name + "-" + stem + "-seed" + std::to_string(given.seed));
   const Identity identity = given.identity(
       name, [](const ParamInfo&) { return true; }, besides);
+  require_command(context, folder, name);
+  const PlacedFolder placed(folder);
   const auto result = compute(given, recorded ? &*recorded : nullptr);
   const std::string json = to_json(result).dump(2) + "\n", times = times_of(result).dump();
-  make_writable_folder(folder);
   write_garment(given.task, folder);
   write_text(folder / "config.yaml", given.saved_config().to_yaml());
   write_text(folder / "provenance.json", given.provenance(identity));
@@ -137,6 +138,7 @@ CLI::App* add_command(CLI::App& app, Context& context, const char* name, const c
                       const std::shared_ptr<Options>& options) {
   CLI::App* command = app.add_subcommand(name, description);
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   command->add_option("config", options->config, "Task file, such as configs/tasks/tshirt_fold.yaml")->required();
   command->callback(
       [&context, options, run] { context.action = [&context, options, run] { return run(context, *options); }; });

@@ -25,6 +25,7 @@ int run(Context& context, const std::string& file) {
       result_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
   const Identity identity = given.identity("run");
   require_unmixed(context, folder, identity);
+  const PlacedFolder placed(folder);
 
   context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
@@ -60,7 +61,6 @@ int run(Context& context, const std::string& file) {
   }
   const std::string provenance = given.provenance(identity);
   const std::string summary = session_summary_json(result), times = session_times_json(result);
-  make_writable_folder(folder);
   // The session comes first, so that it is kept if the disk gets full.
   const auto session = folder / "session.h5";
   write_session(session, result, given.task, saved, provenance);

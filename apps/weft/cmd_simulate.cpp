@@ -34,6 +34,8 @@ int simulate(Context& context, const std::string& file) {
   run.simulator = registry->resolve(Simulator::kKind, run.simulator);
 
   const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
+  require_command(context, folder, "simulate");
+  check_scene(run, *host);
   make_writable_folder(folder);
   const auto frames = folder / "frames";
   make_writable_folder(frames);
@@ -51,7 +53,7 @@ int simulate(Context& context, const std::string& file) {
     write_obj(frames / frame_name(frame), mesh);
   });
   const std::string summary = scene_summary_json(run, result), times = scene_times_json(result);
-  write_text(folder / "provenance.json", provenance_json(*registry, run.seed, Identity()));
+  write_text(folder / "provenance.json", provenance_json(*registry, run.seed, identity_of_command("simulate")));
   write_text(folder / "summary.json", summary);
   write_text(folder / "times.json", times_json(host->threads(), {{"summary.json", times}}));
   for (const auto& warning : result.warnings) host->log(LogLevel::warning, warning);
@@ -70,6 +72,7 @@ int simulate(Context& context, const std::string& file) {
 void register_simulate(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("simulate", "Run one simulator on one scene: any mesh, pins, scripted grasps");
   add_common_options(*command, context);
+  add_accept_option(*command, context);
   auto file = std::make_shared<std::string>();
   command->add_option("scene", *file, "Scene file, such as configs/experiments/scenes/drape.yaml")->required();
   command->callback([&context, file] { context.action = [&context, file] { return simulate(context, *file); }; });

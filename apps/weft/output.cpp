@@ -42,6 +42,27 @@ void require_unmixed(const Context& context, const fs::path& folder, const Ident
   if (!context.accept_changed && fs::exists(file)) require_identity(folder.string(), read_identity(file), now, false);
 }
 
+void require_command(const Context& context, const fs::path& folder, const std::string& command) {
+  const fs::path file = folder / "provenance.json";
+  if (context.accept_changed || !fs::exists(file)) return;
+  const auto changes = identity_of_command(command).changes_since(read_identity(file));
+  if (changes.size() == 1 && changes.front().starts_with("they are of the command "))
+    throw ConfigError(changed_message(folder.string(), changes));
+}
+
+PlacedFolder::PlacedFolder(const fs::path& folder) {
+  std::error_code ignored;
+  for (fs::path one = fs::absolute(folder).lexically_normal(); !fs::exists(one, ignored); one = one.parent_path())
+    if (one.has_filename()) made_.push_back(one);
+  make_writable_folder(folder);
+}
+
+PlacedFolder::~PlacedFolder() {
+  std::error_code not_empty;
+  for (const auto& folder : made_)
+    if (!fs::remove(folder, not_empty)) return;
+}
+
 std::string provenance_json(const PluginRegistry& registry, std::uint64_t seed, const Identity& identity) {
   auto plugins = nlohmann::ordered_json::array();
   for (const auto& entry : registry.used()) {

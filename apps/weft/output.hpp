@@ -17,6 +17,23 @@ std::filesystem::path result_folder(const Context& context, const std::string& n
 /// @throws ConfigError naming what differs, unless --accept-changed was given.
 void require_unmixed(const Context& context, const std::filesystem::path& folder, const Identity& now);
 
+/// The same for commands that replace all that they wrote before: only results of another command are refused.
+void require_command(const Context& context, const std::filesystem::path& folder, const std::string& command);
+
+/// The folder of a result. It is made before the work, so that no work is lost for want of a place, and goes again with
+/// this object if it was not there before and is still empty.
+class PlacedFolder {
+ public:
+  /// @throws ConfigError if no file can be written in it.
+  explicit PlacedFolder(const std::filesystem::path& folder);
+  ~PlacedFolder();
+  PlacedFolder(const PlacedFolder&) = delete;
+  PlacedFolder& operator=(const PlacedFolder&) = delete;
+
+ private:
+  std::vector<std::filesystem::path> made_;  ///< the innermost first
+};
+
 /// The installation or build tree that this program belongs to: it lies in <prefix>/bin.
 std::filesystem::path tree_of_weft();
 /// A text file of that tree. @param file from share/weft. @throws Error if it cannot be read.

@@ -351,12 +351,24 @@ ConfigNode write_scene(const SceneRun& run, const std::string& garment_file) {
        {"seed", ConfigNode::integer(static_cast<std::int64_t>(run.seed))}});
 }
 
-SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer) {
-  const auto simulator = host.create<Simulator>(run.simulator);
-  SceneResult result;
+namespace {
+
+/// @throws ConfigError for a scene that the simulator cannot have.
+std::shared_ptr<Simulator> simulator_at_start(const SceneRun& run, Host& host) {
+  auto simulator = host.create<Simulator>(run.simulator);
   if (!run.scene.pins.empty() && !simulator->capabilities().pins)
     throw ConfigError("the scene has pins, which this simulator does not declare (capability pins)");
   simulator->reset(run.garment, run.fabric, run.scene);
+  return simulator;
+}
+
+}  // namespace
+
+void check_scene(const SceneRun& run, Host& host) { simulator_at_start(run, host); }
+
+SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer) {
+  const auto simulator = simulator_at_start(run, host);
+  SceneResult result;
   const auto look = [&](Index frame) {
     const SimulatorDiagnostics diagnostics = simulator->diagnostics();
     result.max_speed = diagnostics.max_speed;

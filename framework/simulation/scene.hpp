@@ -63,6 +63,8 @@ struct SceneResult {
 /// Called for frame 0 and after every frame, for output and progress.
 using SceneObserver = std::function<void(const Simulator& simulator, Index frame)>;
 
+/// What run_scene() refuses, before any work. @throws ConfigError, PluginError.
+void check_scene(const SceneRun& run, Host& host);
 /// Runs the scene. A grasp begins at the first frame boundary at or after its first keyframe, and ends at the first one
 /// at or after its release.
 /// @throws ConfigError, PluginError before any work; Diverged naming the frame.

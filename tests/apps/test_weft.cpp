@@ -275,10 +275,60 @@ TEST(Program, ASessionThatCannotBeWrittenIsAnErrorWithTheReason) {
   EXPECT_EQ(limited.code, 1);
   EXPECT_THAT(limited.output,
               HasSubstr("error: " + (folder / "out/session.h5").string() + ": cannot be written: File too large"));
-  EXPECT_TRUE(std::filesystem::is_empty(folder / "out"));
-  const Outcome nowhere = test::run_shell("unset WEFT_PLUGIN_PATH; " + run + "/proc/self/out'");
-  EXPECT_EQ(nowhere.code, 2);
-  EXPECT_THAT(nowhere.output, HasSubstr("error: /proc/self/out: the folder cannot be made: "));
+  EXPECT_FALSE(std::filesystem::exists(folder / "out"));
+}
+
+TEST(Program, APlaceThatTakesNoFilesIsRefusedBeforeTheWork) {
+  const Folder folder;
+  const auto task = folder.write(
+      "task.yaml", kTowelTask + "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n");
+  const std::string physics =
+      "'" WEFT_SOURCE_DIR "/configs/experiments/physics.yaml' --set 'physics.tests=[free fall]'";
+  for (const std::string& arguments : {"run '" + task.string() + "'", "plan '" + task.string() + "'",
+                                       "estimate '" + task.string() + "'", "evaluate physics " + physics}) {
+    const Outcome nowhere = weft_command(arguments + " --out /proc/self/out");
+    EXPECT_EQ(nowhere.code, 2) << arguments;
+    EXPECT_THAT(nowhere.output, StartsWith("error: /proc/self/out: the folder cannot be made: ")) << arguments;
+  }
+}
+
+TEST(Program, ResultsOfAnotherCommandAreNotWrittenOver) {
+  const Folder folder;
+  const auto task = folder.write(
+      "task.yaml", kTowelTask + "planning: {instances: 1, iterations: 0, replan_iterations: 0, horizon: 12}\n");
+  const std::string out = " --quiet --out '" + (folder / "out").string() + "'";
+  ASSERT_EQ(weft_command("plan '" + task.string() + "'" + out).code, 0);
+  const std::string before = text_of(folder / "out" / "provenance.json");
+  const std::string scene = "'" WEFT_SOURCE_DIR "/configs/experiments/scenes/incline.yaml'";
+  for (const std::string& other :
+       {"run '" + task.string() + "'", "estimate '" + task.string() + "'", "simulate " + scene}) {
+    const Outcome refused = weft_command(other + out);
+    EXPECT_EQ(refused.code, 2) << other;
+    EXPECT_THAT(refused.output, AllOf(HasSubstr("command plan, this one is "), HasSubstr("--accept-changed"))) << other;
+    EXPECT_EQ(text_of(folder / "out" / "provenance.json"), before) << other;
+    EXPECT_FALSE(std::filesystem::exists(folder / "out" / "frames")) << other;
+  }
+  EXPECT_EQ(weft_command("plan '" + task.string() + "'" + out + " --set planning.noise=0.2").code, 0);
+}
+
+TEST(Program, ASceneThatIsRefusedLeavesEarlierFrames) {
+  const Folder folder;
+  const std::string simulate = "simulate '" WEFT_SOURCE_DIR
+                               "/configs/experiments/scenes/incline.yaml' --quiet --out '" +
+                               (folder / "out").string() + "' --set duration_s=0.05";
+  ASSERT_EQ(weft_command(simulate).code, 0);
+  const auto frames = [&] {
+    std::vector<std::string> names;
+    for (const auto& entry : std::filesystem::directory_iterator(folder / "out" / "frames"))
+      names.push_back(entry.path().filename().string());
+    std::sort(names.begin(), names.end());
+    return names;
+  };
+  const auto before = frames();
+  ASSERT_FALSE(before.empty());
+  const Outcome refused = weft_command(simulate + " --set simulator.params.max_substeps=1");
+  EXPECT_EQ(refused.code, 2) << refused.output;
+  EXPECT_EQ(frames(), before);
 }
 
 TEST(Program, ThreadsAreThoseOfTheProcessorsItMayUse) {

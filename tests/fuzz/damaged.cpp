@@ -93,11 +93,19 @@ void damaged(std::string_view bytes) {
   if (!reader) reader = start_reader();
   const fs::path file = world().write(kind == 1 ? "shard-00000.h5" : "damaged.h5", content);
   std::string answer;
-  const auto deadline = seconds_from_now(20);
-  reader->write(std::string(kKinds[kind].name) + " " + file.string() + "\n", deadline);
-  const auto outcome = reader->read_line(answer, deadline);
+  constexpr double kMostCpu = 20.0, kMostIdle = 300.0, kLook = 1.0;  // s; an input takes a millisecond
+  reader->write(std::string(kKinds[kind].name) + " " + file.string() + "\n", seconds_from_now(kMostIdle));
+  auto outcome = reader->read_line(answer, seconds_from_now(kLook));
+  bool hangs = false;
+  if (outcome == ChildProcess::Outcome::late) {
+    HangWatch watch(kMostCpu, kMostIdle);
+    watch.start(reader->cpu_seconds());
+    while (outcome == ChildProcess::Outcome::late && !hangs) {
+      outcome = reader->read_line(answer, seconds_from_now(kLook));
+      hangs = outcome == ChildProcess::Outcome::late && !watch.check(reader->cpu_seconds()).empty();
+    }
+  }
   if (outcome == ChildProcess::Outcome::done) return;
-  const bool hangs = outcome == ChildProcess::Outcome::late;
   if (hangs) reader->kill(6);
   const auto end = reader->wait_until(seconds_from_now(10));
   const std::string report = reader->errors();
