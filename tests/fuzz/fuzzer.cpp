@@ -35,7 +35,9 @@ std::string dictionary() {
 }  // namespace
 
 // Short stacks of allocations: most of the time of a target goes into malloc(). A finding is run again with longer ones.
-extern "C" const char* __asan_default_options() { return "quarantine_size_mb=16:detect_leaks=0:malloc_context_size=2"; }
+extern "C" const char* __asan_default_options() {
+  return "quarantine_size_mb=16:detect_leaks=0:malloc_context_size=2:allocator_release_to_os_interval_ms=-1";
+}
 
 extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
   static std::vector<char*> arguments(*argv, *argv + *argc);
@@ -55,8 +57,8 @@ extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
   // The timeout is in seconds of the wall, beside whatever else the machine does; an input takes a millisecond.
   // Options of the command line come later and win.
   static std::vector<std::string> defaults = {
-      "-max_len=2048",         "-malloc_limit_mb=64",  "-rss_limit_mb=1024",   "-timeout=300",
-      "-dict=" + dictionary(), "-print_final_stats=1", "-use_value_profile=0", "-reload=0"};
+      "-max_len=2048",        "-malloc_limit_mb=64",  "-rss_limit_mb=1024", "-timeout=300",  "-dict=" + dictionary(),
+      "-print_final_stats=1", "-use_value_profile=0", "-reload=0",          "-print_funcs=0"};
   for (std::size_t i = 0; i < defaults.size(); ++i)
     arguments.insert(arguments.begin() + 1 + static_cast<std::ptrdiff_t>(i), defaults[i].data());
   *argc = static_cast<int>(arguments.size());
