@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <map>
+#include <optional>
 #include <set>
 
 #include "identity/identity.hpp"
@@ -403,13 +404,41 @@ std::map<std::int64_t, std::vector<fs::path>> canonical_files(const std::vector<
   return files;
 }
 
+/// A new dataset whose files appear together: until finish() they lie in a folder of their own. What a killed process
+/// left there is made again.
+class NewDataset {
+ public:
+  /// @throws ConfigError if the folder holds a dataset, or if no file can be written in it.
+  NewDataset(fs::path folder, const std::string& remedy)
+      : folder_(std::move(folder)), unfinished_(folder_ / ".weft-unfinished") {
+    if (fs::is_directory(folder_) && !list_shards(folder_).empty())
+      refuse(folder_, "holds a dataset already; " + remedy);
+    make_writable_folder(folder_);
+    fs::remove_all(unfinished_);
+    make_writable_folder(unfinished_);
+  }
+  ~NewDataset() {
+    std::error_code ignored;
+    fs::remove_all(unfinished_, ignored);
+  }
+  NewDataset(const NewDataset&) = delete;
+  NewDataset& operator=(const NewDataset&) = delete;
+
+  void add(const fs::path& name, const Shard& shard) const { write_shard(unfinished_ / name, shard); }
+  void finish() const {
+    for (const auto& file : list_shards(unfinished_)) fs::rename(file, folder_ / file.filename());
+  }
+
+ private:
+  fs::path folder_, unfinished_;
+};
+
 }  // namespace
 
 std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& to) {
   DatasetHeader header;
   const auto files = canonical_files(from, header);
-  make_writable_folder(to);
-  if (!list_shards(to).empty()) refuse(to, "holds a dataset already; merge into an empty folder");
+  const NewDataset merging(to, "merge into an empty folder");
   for (const auto& [number, sources] : files) {
     std::map<std::int64_t, Example> examples;
     Shard merged;
@@ -429,8 +458,9 @@ std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& t
       }
     }
     for (auto& [index, e] : examples) merged.examples.push_back(std::move(e));
-    write_shard(to / shard_name(number), merged);
+    merging.add(shard_name(number), merged);
   }
+  merging.finish();
   return static_cast<std::int64_t>(files.size());
 }
 
@@ -438,11 +468,8 @@ std::array<std::int64_t, 3> split_dataset(const fs::path& from, const fs::path& 
   const auto files = list_shards(from);
   if (files.empty()) refuse(from, "holds no dataset (no shard-*.h5)");
   std::array<std::int64_t, 3> counts{};
-  for (std::size_t s = 0; s < 3; ++s) {
-    const auto folder = to / kSplitNames[s];
-    make_writable_folder(folder);
-    if (!list_shards(folder).empty()) refuse(folder, "holds a dataset already; split into an empty folder");
-  }
+  std::array<std::optional<NewDataset>, 3> parts;
+  for (std::size_t s = 0; s < 3; ++s) parts[s].emplace(to / kSplitNames[s], "split into an empty folder");
   for (const auto& file : files) {
     Shard shard = read_shard(file);
     for (std::size_t s = 0; s < 3; ++s) {
@@ -452,9 +479,10 @@ std::array<std::int64_t, 3> split_dataset(const fs::path& from, const fs::path& 
         if (shard.header.split(e.index) == static_cast<Split>(s)) part.examples.push_back(e);
       }
       counts[s] += static_cast<std::int64_t>(part.examples.size());
-      if (!part.examples.empty()) write_shard(to / kSplitNames[s] / file.filename(), part);
+      if (!part.examples.empty()) parts[s]->add(file.filename(), part);
     }
   }
+  for (const auto& part : parts) part->finish();
   return counts;
 }
 

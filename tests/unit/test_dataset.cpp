@@ -297,6 +297,33 @@ TEST(Dataset, SplitsByIndexAndMergesBackToTheSameBytes) {
   EXPECT_THROW(merge_datasets({folder / "none"}, folder / "n"), ConfigError);
 }
 
+TEST(Dataset, AMergeIsWholeOrAbsent) {
+  const Folder folder;
+  ToyHost host(1);
+  generate(folder / "a", 20, host, 0, 2);
+  generate(folder / "b", 20, host, 1, 2);
+  // One that was killed left a part of its files.
+  std::filesystem::create_directories(folder / "to" / ".weft-unfinished");
+  std::ofstream(folder / "to" / ".weft-unfinished" / shard_name(1)) << "half";
+  EXPECT_EQ(merge_datasets({folder / "a", folder / "b"}, folder / "to"), 3);
+  generate(folder / "whole", 20, host);
+  EXPECT_EQ(contents(folder / "to"), contents(folder / "whole"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "to" / ".weft-unfinished"));
+  EXPECT_THAT(message_of<ConfigError>([&] { merge_datasets({folder / "a"}, folder / "to"); }),
+              HasSubstr("holds a dataset already; merge into an empty folder"));
+  // One that is refused in its last file leaves none.
+  Shard other = read_shard(folder / "a" / shard_name(2));
+  ASSERT_FALSE(other.examples.empty());
+  other.examples.back().shapes.back() += 1.0f;
+  std::filesystem::create_directories(folder / "c");
+  write_shard(folder / "c" / shard_name(2), other);
+  EXPECT_THAT(message_of<ConfigError>([&] {
+                merge_datasets({folder / "a", folder / "c"}, folder / "new");
+              }),
+              HasSubstr("differs from the one of the same number"));
+  EXPECT_TRUE(list_shards(folder / "new").empty());
+}
+
 TEST(Dataset, AppendsAnotherDatasetOfTheSameTaskAndKeepsEachSplit) {
   const Folder folder;
   ToyHost host(2);
