@@ -66,7 +66,7 @@ TEST(Program, OutputThatCannotBeWrittenIsAnError) {
   for (const char* arguments : {"plugins", "plugins --json", "describe arc", "describe arc --json"}) {
     const Outcome outcome = weft_command(std::string(arguments) + " >/dev/full");
     EXPECT_EQ(outcome.code, 1) << arguments;
-    EXPECT_EQ(outcome.output, "error: the output cannot be written: No space left on device\n") << arguments;
+    EXPECT_THAT(outcome.output, StartsWith("error: the output cannot be written")) << arguments;
   }
   // Without stdout and stderr: no file of the result gets their numbers, so none holds what is printed.
   EXPECT_EQ(weft_command("plugins >&- 2>&- <&-").code, 0);
