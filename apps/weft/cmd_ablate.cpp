@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <sstream>
 
 #include "commands.hpp"
 #include "experiments/ablation.hpp"
@@ -91,20 +90,9 @@ void write_tables(const Context& context, const AblationPlan& plan, const std::v
   for (const auto& metric : metrics) context.say(ablation_table(plan, rows, metric));
 }
 
-int ablate(const Context& context, const std::string& file, const WorkOptions& work) {
-  ConfigNode config = ConfigNode::load(file);
-  for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
-  AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
-  const auto registry = context.registry(plan.arms.front().config);
-  const auto host = context.host(registry, plan.seeds.front());  // takes ^C, and names the threads
-  const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
-  std::vector<SavedArm> saved;
-  for (auto& arm : plan.arms) saved.push_back(rehearse(plan, arm, *registry, *host, folder));
-  const Identity identity = identity_of_command("ablate");
-  require_unmixed(context, folder, identity);
-  const SweepFolder earlier = read_sweep(plan, folder, context.accept_changed);
-
-  // Nothing was refused, so from here on the folder changes.
+/// What the folder holds besides cells: each arm's config, the garments, the config of the sweep.
+void write_plan(const AblationPlan& plan, const ConfigNode& config, std::vector<SavedArm>& saved,
+                const std::filesystem::path& folder, const std::string& provenance) {
   make_writable_folder(folder);
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
     ConfigNode& one = saved[a].config;
@@ -118,7 +106,38 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
     write_text(folder / ("arm-" + slug(plan.arms[a].name) + "-" + arm_hash(plan.arms[a]) + ".yaml"), one.to_yaml());
   }
   write_text(folder / "config.yaml", config.to_yaml());
-  write_text(folder / "provenance.json", provenance_json(*registry, plan.seeds.front(), identity));
+  write_text(folder / "provenance.json", provenance);
+}
+
+/// The line about a row that ran. @throws nothing; failures are said by failure_text().
+std::string row_text(const AblationPlan& plan, const SweepRow& row) {
+  if (!row.failure.empty()) return failure_text(row);
+  char text[80];
+  if (plan.measure != "physics") {
+    std::snprintf(text, sizeof text, "%.1f mm, plans %.1f s", row.metric("error_mm"), row.metric("plan_seconds"));
+    return text;
+  }
+  std::string line;
+  for (const auto& [name, value] : row.outcome.metrics) {
+    std::snprintf(text, sizeof text, " %.4g; ", value);
+    line += name.substr(name.find(": ") + 2) + text;
+  }
+  return line;
+}
+
+int ablate(const Context& context, const std::string& file, const WorkOptions& work) {
+  ConfigNode config = ConfigNode::load(file);
+  for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
+  AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
+  const auto registry = context.registry(plan.arms.front().config);
+  const auto host = context.host(registry, plan.seeds.front());  // takes ^C, and names the threads
+  const auto folder = result_folder(context, std::filesystem::path(file).stem().string());
+  std::vector<SavedArm> saved;
+  for (auto& arm : plan.arms) saved.push_back(rehearse(plan, arm, *registry, *host, folder));
+  const Identity identity = identity_of_command("ablate");
+  require_unmixed(context, folder, identity);
+  const SweepFolder earlier = read_sweep(plan, folder, context.accept_changed);
+
   SweepOptions options;
   options.folder = folder;
   options.accept_changed = context.accept_changed;
@@ -131,25 +150,23 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
   options.request = [&](const ConfigNode& cell) { return cell_request(cells, cell, *registry); };
   work.apply(options);
   options.progress = [&](const SweepRow& row, std::size_t done, std::size_t total) {
-    std::ostringstream line;
-    line << done << '/' << total << "  " << plan.arms[row.arm].name << ", "
-         << (plan.cases.empty() ? "seed " + std::to_string(row.seed) : plan.cases[row.seed]) << ": ";
-    if (row.failure.empty() && plan.measure == "physics") {
-      for (const auto& [name, value] : row.outcome.metrics) {
-        char text[40];
-        std::snprintf(text, sizeof text, " %.4g; ", value);
-        line << name.substr(name.find(": ") + 2) << text;
-      }
-    } else if (row.failure.empty()) {
-      char text[80];
-      std::snprintf(text, sizeof text, "%.1f mm, plans %.1f s", row.metric("error_mm"), row.metric("plan_seconds"));
-      line << text;
-    } else {
-      context.complain(line.str() + failure_text(row));
-      return;
-    }
-    context.say(line.str());
+    const std::string line = std::to_string(done) + "/" + std::to_string(total) + "  " + plan.arms[row.arm].name +
+                             ", " + (plan.cases.empty() ? "seed " + std::to_string(row.seed) : plan.cases[row.seed]) +
+                             ": " + row_text(plan, row);
+    row.failure.empty() ? context.say(line) : context.complain(line);
   };
+  // Nothing was refused, so from here on the folder changes.
+  const auto begin = [&] {
+    write_plan(plan, config, saved, folder, provenance_json(*registry, plan.seeds.front(), identity));
+  };
+  if (work.cluster.is_given()) {
+    const auto left = cells_left(plan, earlier.rows, options.retry);
+    return run_on_cluster(context, work.cluster, sweep_work("ablate", folder, {"cells"}, plan.cells(), left), [&] {
+      begin();
+      prepare_sweep(plan, options);
+    });
+  }
+  if (!work.share || !std::filesystem::exists(folder / "provenance.json")) begin();
   const auto counted = [](std::size_t count, const std::string& what) {
     return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
   };
@@ -157,6 +174,7 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
               counted(plan.seeds.size(), plan.cases.empty() ? "seed" : "case") + ", " + std::to_string(options.jobs) +
               " at a time");
   const auto rows = run_sweep(plan, options);
+  if (work.share) return share_exit_code(context, rows.size(), plan.cells());
   write_tables(context, plan, rows, folder, host->threads());
   say_mixed(context, plan, rows, earlier);
   write_page(context, folder);

@@ -5,6 +5,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
+#include "cluster_run.hpp"
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/held_out.hpp"
@@ -80,10 +81,13 @@ void say_rows(const Context& context, const std::vector<CalibrationRow>& rows) {
   }
 }
 
-int calibrate(Context& context, const std::string& file, const std::vector<std::string>& folders) {
+int calibrate(Context& context, const std::string& file, const std::vector<std::string>& folders,
+              const ClusterOptions& cluster) {
   const fs::path out = model_file(context, "weft calibrate");
   if (folders.empty()) throw ConfigError("weft calibrate: --data FOLDER is required");
-  const Prepared<ExperimentParams> given(context, file);
+  const ClusterWork work = single_work("calibrate", "calibrate-" + out.stem().string(), out);
+  const Prepared<ExperimentParams> given(context, file, {planned_identity(work.results, work.label)},
+                                         work.results.string());
   const ConfigNode slot = place(given.config, "predictor");
   const auto predictor = bound_predictor(slot, given.task, *given.host);
   TrainablePredictor* learner = predictor->trainable();
@@ -98,6 +102,8 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   const Identity identity = learning_identity(given, "calibrate", folders);
   const fs::path record = fs::path(out).replace_extension(".calibration.json");
   if (fs::exists(out)) require_identity(out.string(), calibration_identity(record), identity, context.accept_changed);
+  if (cluster.is_given())
+    return run_on_cluster(context, cluster, work, [&] { write_planned_identity(work.results, work.label, identity); });
   const Dataset dataset = read_datasets(context, folders, given.task);
   const auto trained_on = learner->trained_on();
   if (trained_on.empty()) {
@@ -163,8 +169,11 @@ void register_calibrate(CLI::App& app, Context& context) {
   auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file whose predictor.params.model names the model")->required();
   command->add_option("--data", *data, "Folders of examples; sigma is calibrated for the first one's");
-  command->callback(
-      [&context, file, data] { context.action = [&context, file, data] { return calibrate(context, *file, *data); }; });
+  auto cluster = std::make_shared<ClusterOptions>();
+  add_cluster_options(*command, *cluster);
+  command->callback([&context, file, data, cluster] {
+    context.action = [&context, file, data, cluster] { return calibrate(context, *file, *data, *cluster); };
+  });
 }
 
 }  // namespace weft::app

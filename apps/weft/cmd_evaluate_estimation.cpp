@@ -18,6 +18,7 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
         return estimation_runner(cases, evaluation.given.params.data, folder);
       },
       [](const SweepRow&) { return std::string("done"); });
+  if (const auto code = evaluation.ended_with()) return *code;
   const std::string json = estimation_evaluation_json(columns), times = estimation_times_json(columns);
   const std::string whole = with_times(json, times);
   evaluation.write("estimation", json, estimation_evaluation_csv(columns), times, estimation_times_csv(columns));

@@ -50,13 +50,17 @@ std::string to_csv(const std::vector<PhysicsRow>& rows) {
 }
 
 int evaluate(Context& context, const std::string& file, const WorkOptions& work) {
-  const Prepared<PhysicsExperimentParams> given(context, file);
+  const auto out = result_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
+  const ClusterWork on_cluster = single_work("evaluate physics", "evaluate-physics", out / "physics.json");
+  const Prepared<PhysicsExperimentParams> given(context, file, {planned_identity(out, on_cluster.label)}, out.string());
   const auto task = std::make_shared<const Task>(given.task);
   const auto cases = physics_cases(given.params.physics, task, given.config);
   check_simulator(task->simulator, *task, *given.host);
-  const auto out = result_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
   const Identity identity = given.identity("evaluate physics");
   require_unmixed(context, out, identity);
+  if (work.cluster.is_given())
+    return run_on_cluster(context, work.cluster, on_cluster,
+                          [&] { write_planned_identity(out, on_cluster.label, identity); });
   const PlacedFolder placed(out);
 
   const auto say = [&](const std::vector<PhysicsRow>& some) {

@@ -21,6 +21,7 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
                       row.metric("error_mm"), row.metric("default_error_mm"), row.metric("first_plan_seconds"));
         return std::string(text);
       });
+  if (const auto code = evaluation.ended_with()) return *code;
   const std::string json = planning_evaluation_json(columns), times = planning_times_json(columns);
   evaluation.write("planning", json, planning_evaluation_csv(columns), times, planning_times_csv(columns));
   const auto& first = columns.front();

@@ -67,18 +67,22 @@ int say_failures(const Context& context, const Prepared<ExperimentParams>& given
 }
 
 int evaluate(Context& context, const std::string& file, std::vector<std::string> folders, const WorkOptions& work) {
-  const Prepared<ExperimentParams> given(context, file);
+  const auto out = result_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
+  const ClusterWork on_cluster = single_work("evaluate prediction", "evaluate-prediction", out / "prediction.json");
+  const Prepared<ExperimentParams> given(context, file, {planned_identity(out, on_cluster.label)}, out.string());
   const auto predictor = bound_predictor(place(given.config, "predictor"), given.task, *given.host);
   if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
   if (folders.empty())
     throw ConfigError("weft evaluate prediction: --data FOLDER is required (or `dataset:` in the config)");
   const Dataset dataset = read_datasets(context, folders, given.task);
   warn_unless_held_out(*predictor, dataset, given.params.evaluation.split, *given.host);
-  const auto out = result_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
   // The examples are there; how they were made is their own identity.
   const auto keep = [](const ParamInfo& info) { return info.name != "dataset" && !info.name.starts_with("data."); };
   const Identity identity = given.identity("evaluate prediction", keep, {}, {folders.begin(), folders.end()});
   require_unmixed(context, out, identity);
+  if (work.cluster.is_given())
+    return run_on_cluster(context, work.cluster, on_cluster,
+                          [&] { write_planned_identity(out, on_cluster.label, identity); });
   const PlacedFolder placed(out);
 
   const EvaluationWorkers workers{work.worker(), work.cell_limit_s, [&] { return given.host->cancelled(); }};

@@ -1,6 +1,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "cluster/job_scripts.hpp"
 #include "commands.hpp"
 #include "experiments/cell_work.hpp"
 #include "experiments/experiment_config.hpp"
@@ -57,6 +58,46 @@ std::function<std::string(std::int64_t)> example_requests(const Prepared<Experim
   return [request](std::int64_t index) { return request + "\"index\":" + std::to_string(index) + "}"; };
 }
 
+constexpr const char* kLabel = "generate";
+
+/// The files of a dataset as work for a cluster.
+ClusterWork files_work(const GenerateOptions& options, const DataParams& data) {
+  ClusterWork work;
+  work.command = work.label = kLabel;
+  work.results = options.folder;
+  work.files = {"files", {"."}, "shard-", ".h5", "", {}};
+  work.total = (options.examples + data.shard_examples - 1) / data.shard_examples;
+  work.left = files_left(data, options.examples, options.folder);
+  return work;
+}
+
+/// Says what was made, and writes its times. @return the exit code.
+int say_made(const Context& context, const GenerateReport& report, const GenerateOptions& options, int threads,
+             const std::string& identity) {
+  const double rate = report.seconds > 0 ? static_cast<double>(report.made) / report.seconds : 0.0;
+  const nlohmann::ordered_json times{{"made", report.made}, {"seconds", report.seconds}, {"examples_per_s", rate}};
+  if (!options.is_share) write_text(options.folder / "times.json", times_json(threads, {{"dataset", times.dump()}}));
+  if (context.json) {
+    context.output() << nlohmann::ordered_json{{"made", report.made},       {"kept", report.kept},
+                                               {"failed", report.failed()}, {"files", report.files},
+                                               {"seconds", report.seconds}, {"examples_per_s", rate},
+                                               {"identity", identity},      {"cancelled", report.cancelled}}
+                            .dump(2)
+                     << '\n';
+  }
+  char line[200];
+  std::snprintf(line, sizeof(line),
+                "%lld examples made in %.1f s (%.2f examples/s, %d threads), %lld kept, %lld failed",
+                static_cast<long long>(report.made), report.seconds, rate, threads, static_cast<long long>(report.kept),
+                static_cast<long long>(report.failed()));
+  context.say(line);
+  if (report.cancelled) context.say("stopped; run the same command again to make the rest");
+  if (!report.acceptable()) warn_of_failures(report.failures, report.made + report.kept, "examples");
+  if (report.cancelled) return 1;
+  if (options.is_share) return report.left > 0 ? kOthersAtWork : 0;
+  return report.acceptable() ? 0 : 1;
+}
+
 int generate(Context& context, const std::string& file, std::int64_t examples, const std::string& shard,
              const WorkOptions& work) {
   GenerateOptions options;
@@ -64,7 +105,9 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   if (!shard.empty()) parse_shard(shard, options);
   if (context.out.empty()) throw ConfigError("weft generate: --out FOLDER is required");
   options.folder = result_folder(context, "");
-  const Prepared<ExperimentParams> given(context, file, recorded_in(options.folder), options.folder.string());
+  auto recorded = recorded_in(options.folder);
+  recorded.push_back(planned_identity(options.folder, kLabel));
+  const Prepared<ExperimentParams> given(context, file, recorded, options.folder.string());
   check_simulator(given.task.simulator, given.task, *given.host);
   const auto params = describe_params<ExperimentParams>();
   const ConfigNode saved =
@@ -74,12 +117,21 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
       make_dataset_header(given.task, given.params.data, given.seed, saved, given.provenance(identity), identity),
       identity, options.folder, context.accept_changed);
   // Nothing was refused, so from here on the folder changes. The config of a folder with shards is that of the first.
-  make_writable_folder(options.folder);
-  if (const auto config = options.folder / "config.yaml";
-      list_shards(options.folder).empty() || !std::filesystem::exists(config)) {
+  const auto begin = [&] {
+    make_writable_folder(options.folder);
+    const auto config = options.folder / "config.yaml";
+    if (!list_shards(options.folder).empty() && std::filesystem::exists(config)) return;
     write_garment(given.task, options.folder);
     write_text(config, header.config);
+  };
+  if (work.cluster.is_given()) {
+    if (!shard.empty()) throw ConfigError("--shard: the tasks of --on share all files; leave it out");
+    return run_on_cluster(context, work.cluster, files_work(options, given.params.data), [&] {
+      begin();
+      write_planned_identity(options.folder, kLabel, identity);
+    });
   }
+  if (!work.share || !std::filesystem::exists(options.folder / "config.yaml")) begin();
 
   context.say("making " + std::to_string(examples) + " examples of " + given.task.garment->name + " (" +
               std::to_string(given.task.garment->vertex_count()) + " vertices), seed " + std::to_string(given.seed) +
@@ -97,31 +149,13 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   options.request = example_requests(given);
   options.retry = work.retry();
   options.fail_fast = work.fail_fast;
+  options.is_share = work.share;
   options.cell_limit_s = work.cell_limit_s;
   options.failed = [&](std::int64_t index, const WorkFailure& failure) {
     context.complain("example " + std::to_string(index) + " " + to_string(failure.status) + ": " + failure.message);
   };
   const GenerateReport report = generate_dataset(given.task, given.params.data, header, options, *given.host, progress);
-  const double rate = report.seconds > 0 ? static_cast<double>(report.made) / report.seconds : 0.0;
-  const nlohmann::ordered_json times{{"made", report.made}, {"seconds", report.seconds}, {"examples_per_s", rate}};
-  write_text(options.folder / "times.json", times_json(given.host->threads(), {{"dataset", times.dump()}}));
-  if (context.json) {
-    context.output() << nlohmann::ordered_json{{"made", report.made},         {"kept", report.kept},
-                                               {"failed", report.failed()},   {"files", report.files},
-                                               {"seconds", report.seconds},   {"examples_per_s", rate},
-                                               {"identity", header.identity}, {"cancelled", report.cancelled}}
-                            .dump(2)
-                     << '\n';
-  }
-  char line[200];
-  std::snprintf(line, sizeof(line),
-                "%lld examples made in %.1f s (%.2f examples/s, %d threads), %lld kept, %lld failed",
-                static_cast<long long>(report.made), report.seconds, rate, given.host->threads(),
-                static_cast<long long>(report.kept), static_cast<long long>(report.failed()));
-  context.say(line);
-  if (report.cancelled) context.say("stopped; run the same command again to make the rest");
-  if (!report.acceptable()) warn_of_failures(report.failures, report.made + report.kept, "examples");
-  return report.cancelled || !report.acceptable() ? 1 : 0;
+  return say_made(context, report, options, given.host->threads(), header.identity);
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <iostream>
 #include <nlohmann/json.hpp>
 
+#include "cluster/profile.hpp"
 #include "commands.hpp"
 #include "experiments/ablation.hpp"
 #include "experiments/experiment_config.hpp"
@@ -60,6 +61,7 @@ constexpr FileKind kFileKinds[] = {
     {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
     {"ablation", "weft ablate", describe_params<AblationParams>},
     {"scene", "weft simulate", describe_scene},
+    {"slurm", "--on slurm:PROFILE", describe_params<ClusterProfile>},
 };
 
 std::string file_kind_names() {

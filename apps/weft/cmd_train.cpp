@@ -4,6 +4,7 @@
 #include <iterator>
 #include <nlohmann/json.hpp>
 
+#include "cluster_run.hpp"
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "output.hpp"
@@ -62,13 +63,16 @@ std::string duration(double seconds) {
   return text;
 }
 
-int train(Context& context, const std::string& file, std::vector<std::string> folders) {
+int train(Context& context, const std::string& file, std::vector<std::string> folders, const ClusterOptions& cluster) {
   const fs::path model = model_file(context, "weft train");
   const fs::path record = fs::path(model).replace_extension(".provenance.json");
   const fs::path checkpoint = fs::path(model).replace_extension(".checkpoint.h5");
   const bool is_used = fs::exists(model) || fs::exists(checkpoint);
   const Identity earlier = is_used ? read_identity(record) : Identity();
-  const Prepared<ExperimentParams> given(context, file, {earlier}, record.string());
+  ClusterWork work = single_work("train", "train-" + model.stem().string(), model);
+  work.has_ranks = true;
+  const Prepared<ExperimentParams> given(context, file, {earlier, planned_identity(work.results, work.label)},
+                                         record.string());
   if (given.params.predictor.is_null())
     given.config.fail("predictor is missing; name one that learns, such as {plugin: emd}");
   const auto predictor = given.host->create<Predictor>(given.params.predictor);
@@ -86,6 +90,8 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   options.provenance = given.provenance(identity);
   options.accept_changed = context.accept_changed;
   if (is_used) require_identity(model.string(), earlier, identity, context.accept_changed);
+  if (cluster.is_given())
+    return run_on_cluster(context, cluster, work, [&] { write_planned_identity(work.results, work.label, identity); });
   const Dataset dataset = read_datasets(context, folders, given.task);
   const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
   make_writable_folder(out);
@@ -138,8 +144,11 @@ void register_train(CLI::App& app, Context& context) {
   auto data = std::make_shared<std::vector<std::string>>();
   command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
   command->add_option("--data", *data, "Folders of examples");
-  command->callback(
-      [&context, file, data] { context.action = [&context, file, data] { return train(context, *file, *data); }; });
+  auto cluster = std::make_shared<ClusterOptions>();
+  add_cluster_options(*command, *cluster);
+  command->callback([&context, file, data, cluster] {
+    context.action = [&context, file, data, cluster] { return train(context, *file, *data, *cluster); };
+  });
 }
 
 }  // namespace weft::app

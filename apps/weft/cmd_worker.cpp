@@ -1,3 +1,6 @@
+#include <sys/resource.h>
+
+#include <algorithm>
 #include <atomic>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -7,6 +10,7 @@
 #include "experiments/evaluation_work.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/example_bytes.hpp"
+#include "loader/processors.hpp"
 #include "loader/program_host.hpp"
 #include "loader/where.hpp"
 #include "processes/child_process.hpp"
@@ -57,6 +61,14 @@ class ExampleServer {
 /// A process that ablate, evaluate and generate start for their cells and examples.
 int work() {
   install_crash_report(kCrashReportFile, write_where);
+  // What one cell or example may take is all that the task was given: one that asks for more fails alone, with this reason,
+  // instead of the whole task.
+  if (const auto granted = memory_of_slurm_mb()) {
+    rlimit limit{};
+    getrlimit(RLIMIT_DATA, &limit);
+    limit.rlim_cur = std::min(limit.rlim_max, static_cast<rlim_t>(*granted) << 20);
+    setrlimit(RLIMIT_DATA, &limit);
+  }
   CellServer cells(&cancelled);
   ExampleServer examples;
   EvaluationServer evaluations(&cancelled);

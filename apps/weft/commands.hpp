@@ -16,6 +16,8 @@ void register_train(CLI::App& app, Context& context);
 void register_calibrate(CLI::App& app, Context& context);
 void register_evaluate(CLI::App& app, Context& context);
 void register_ablate(CLI::App& app, Context& context);
+void register_status(CLI::App& app, Context& context);
+void register_cancel(CLI::App& app, Context& context);
 void register_export(CLI::App& app, Context& context);
 void register_conformance(CLI::App& app, Context& context);
 void register_plugins(CLI::App& app, Context& context);

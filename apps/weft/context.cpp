@@ -17,7 +17,7 @@
 namespace weft::app {
 namespace {
 
-std::atomic<bool> interrupted = false;  // set in a signal handler: must be lock-free
+std::atomic<bool> interrupted = false, terminated = false;  // set in a signal handler: must be lock-free
 static_assert(std::atomic<bool>::is_always_lock_free);
 std::ostream* kept_output = nullptr;  // null: stdout as it is
 
@@ -25,19 +25,12 @@ std::ostream* kept_output = nullptr;  // null: stdout as it is
 constexpr int kStopSignals[] = {SIGINT, SIGTERM, SIGHUP};
 
 /// Answers at once: what is being done may take a while to end.
-void stop(int) {
+void stop(int signal) {
   constexpr char kAnswer[] = "stopping; ^C or SIGTERM once more ends weft at once\n";
   interrupted = true;
+  if (signal == SIGTERM) terminated = true;
   [[maybe_unused]] const auto written = write(STDERR_FILENO, kAnswer, sizeof(kAnswer) - 1);
-  for (const int signal : kStopSignals) std::signal(signal, SIG_DFL);
-}
-
-/// The same for each of these signals. Under nohup SIGHUP stays ignored.
-void stop_on_signals() {
-  struct sigaction before {};
-  for (const int signal : kStopSignals)
-    if (signal != SIGHUP || (sigaction(signal, nullptr, &before) == 0 && before.sa_handler != SIG_IGN))
-      std::signal(signal, stop);
+  for (const int one : kStopSignals) std::signal(one, SIG_DFL);
 }
 
 }  // namespace
@@ -62,7 +55,7 @@ std::shared_ptr<const PluginRegistry> Context::registry(const ConfigNode& config
 
 std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugins, std::uint64_t host_seed,
                                     PluginChecks checks) const {
-  stop_on_signals();
+  catch_signals();
   HostOptions options;
   options.threads = jobs;
   options.seed = host_seed;
@@ -76,6 +69,15 @@ std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugin
   };
   return make_host(std::move(plugins), options);
 }
+
+void Context::catch_signals() {
+  struct sigaction before {};
+  for (const int signal : kStopSignals)  // under nohup SIGHUP stays ignored
+    if (signal != SIGHUP || (sigaction(signal, nullptr, &before) == 0 && before.sa_handler != SIG_IGN))
+      std::signal(signal, stop);
+}
+
+bool Context::is_terminated() { return terminated; }
 
 const std::atomic<bool>* Context::cancel_flag() const { return &interrupted; }
 

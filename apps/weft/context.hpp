@@ -25,6 +25,7 @@ struct Context {
   bool accept_changed = false;         ///< --accept-changed
   bool quiet = false;
   bool json = false;
+  std::vector<std::string> words;  ///< of the command line, without the program
   std::function<int()> action;
 
   /// Loads CONFIG and applies --set and --seed.
@@ -33,8 +34,11 @@ struct Context {
   std::shared_ptr<const PluginRegistry> registry(const ConfigNode& config = {}) const;
   std::unique_ptr<Host> host(std::shared_ptr<const PluginRegistry> registry, std::uint64_t seed,
                              PluginChecks checks = PluginChecks::all) const;
-  /// Set when the user asks to stop, after host() was called.
+  /// Set when the user asks to stop, after host() or catch_signals() was called.
   const std::atomic<bool>* cancel_flag() const;
+  static void catch_signals();
+  /// Whether SIGTERM asked to stop.
+  static bool is_terminated();
   /// Prints a line for people; nothing with --quiet or --json.
   void say(const std::string& line) const;
   /// Keeps stdout for what is written to output(); what plugins print there goes to stderr from now on.

@@ -82,11 +82,38 @@ void EvaluationRun::begin(std::vector<EvaluationColumn>& columns, const std::fil
     identify(column, data);
     earlier_.push_back(read_sweep(column.plan, source_folder(column.cases.source), context_.accept_changed));
   }
-  // Nothing was refused, so from here on the folder changes.
+}
+
+void EvaluationRun::write_plan() const {
   make_writable_folder(out);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
-  write_text(out / "provenance.json", given.provenance(identity));
+  write_text(out / "provenance.json", given.provenance(identity_of_command(command_)));
+}
+
+int EvaluationRun::submit(const std::vector<EvaluationColumn>& columns) const {
+  std::vector<std::string> folders;
+  std::size_t cells = 0, left = 0;
+  for (std::size_t i = 0; i < columns.size(); ++i) {
+    folders.push_back(columns[i].cases.source + "/cells");
+    cells += columns[i].plan.cells();
+    left += cells_left(columns[i].plan, earlier_[i].rows, options_.work.retry());
+  }
+  return run_on_cluster(context_, options_.work.cluster, sweep_work(command_, out, folders, cells, left), [&] {
+    write_plan();
+    for (const auto& column : columns) prepare_sweep(column.plan, cell_options(column));
+  });
+}
+
+SweepOptions EvaluationRun::cell_options(const EvaluationColumn& column) const {
+  SweepOptions cells;
+  cells.folder = source_folder(column.cases.source);
+  cells.accept_changed = context_.accept_changed;
+  cells.jobs = given.host->threads();
+  cells.registry = given.registry;
+  cells.cancel = context_.cancel_flag();
+  options_.work.apply(cells);
+  return cells;
 }
 
 void EvaluationRun::write(const std::string& name, const std::string& json, const std::string& csv,
@@ -122,17 +149,16 @@ std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, cons
     columns.push_back(std::move(column));
   }
   begin(columns, folder);
+  if (options_.work.cluster.is_given()) {
+    ended_with_ = submit(columns);
+    return columns;
+  }
+  if (!options_.work.share || !std::filesystem::exists(out / "provenance.json")) write_plan();
   for (auto& column : columns) {
-    SweepOptions cells;
-    cells.folder = source_folder(column.cases.source);
-    cells.accept_changed = context_.accept_changed;
-    cells.jobs = given.host->threads();
-    cells.registry = given.registry;
-    cells.cancel = context_.cancel_flag();
+    SweepOptions cells = cell_options(column);
     cells.runner = make_runner(column.cases, cells.folder);
     const CellWork work{kind_, cells.folder, place(given.config, "data"), column.cases, folder};
     cells.request = [&](const ConfigNode& cell) { return cell_request(work, cell, *given.registry); };
-    options_.work.apply(cells);
     cells.progress = [&](const SweepRow& row, std::size_t done, std::size_t total) {
       const std::string text = std::to_string(done) + "/" + std::to_string(total) + "  " +
                                column.plan.arms[row.arm].name + ", seed " + std::to_string(row.seed) + ": ";
@@ -145,7 +171,17 @@ std::vector<EvaluationColumn> EvaluationRun::run(const MakePlan& make_plan, cons
                  std::to_string(column.plan.seeds.size()) + " runs, " + std::to_string(cells.jobs) + " at a time");
     column.rows = run_sweep(column.plan, cells);
   }
+  if (options_.work.share) ended_with_ = exit_code_of_share(columns);
   return columns;
+}
+
+int EvaluationRun::exit_code_of_share(const std::vector<EvaluationColumn>& columns) const {
+  std::size_t rows = 0, cells = 0;
+  for (const auto& column : columns) {
+    rows += column.rows.size();
+    cells += column.plan.cells();
+  }
+  return share_exit_code(context_, rows, cells);
 }
 
 int EvaluationRun::exit_code(const std::vector<EvaluationColumn>& columns) const {

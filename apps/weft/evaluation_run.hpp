@@ -1,4 +1,5 @@
 #pragma once
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -32,6 +33,10 @@ class EvaluationRun {
   std::vector<EvaluationColumn> run(const MakePlan& make_plan, const MakeRunner& make_runner,
                                     const std::function<std::string(const SweepRow&)>& line);
 
+  /// The exit code of a command that run() has done all of, since its cells are on a cluster or other processes do the rest.
+  /// nullopt: there are tables to write.
+  std::optional<int> ended_with() const { return ended_with_; }
+
   /// Writes NAME.json and NAME.csv, and their times to times.json and times.csv.
   void write(const std::string& name, const std::string& json, const std::string& csv, const std::string& times,
              const std::string& times_of_cells) const;
@@ -49,14 +54,22 @@ class EvaluationRun {
  private:
   /// Notes what the cells of a column belong to. @param data the folder that its cases come from, unless they are fresh.
   void identify(EvaluationColumn& column, const std::filesystem::path& data) const;
-  /// Checks what the folder holds, then writes config and provenance. @throws ConfigError for other results.
+  /// Checks what the folder holds. Changes nothing. @throws ConfigError for other results.
   void begin(std::vector<EvaluationColumn>& columns, const std::filesystem::path& data);
+  /// Writes garment, config and provenance.
+  void write_plan() const;
+  /// Options of a column's sweep, without what its cells do.
+  SweepOptions cell_options(const EvaluationColumn& column) const;
+  /// Gives the cells to a cluster. @return the exit code.
+  int submit(const std::vector<EvaluationColumn>& columns) const;
+  int exit_code_of_share(const std::vector<EvaluationColumn>& columns) const;
 
   Context& context_;
   EvaluationOptions options_;
   std::string kind_;  ///< of CellWork
   std::string command_;
   std::shared_ptr<Predictor> predictor_;
+  std::optional<int> ended_with_;
   std::vector<SweepFolder> earlier_;  ///< what the folders of the sources held
 };
 

@@ -5,6 +5,7 @@
 #include <cstdio>
 #include <exception>
 
+#include "cluster/job_scripts.hpp"
 #include "commands.hpp"
 #include "commit.hpp"
 #include "loader/where.hpp"
@@ -26,9 +27,13 @@ std::string unknown_command(const CLI::App& app) {
          ", must be " + weft::one_of(known) + weft::nearest_hint(rest.front(), known);
 }
 
+/// The exit code of a command: one that SIGTERM stopped goes on when it is started again.
+int failed_or_stopped(int code) { return code == 1 && weft::app::Context::is_terminated() ? weft::kStartAgain : code; }
+
 }  // namespace
 
-/// `weft`: parses the command line, runs one command, turns errors into exit codes (0 done, 1 failed, 2 wrong use).
+/// `weft`: parses the command line, runs one command, turns errors into exit codes: 0 done, 1 failed, 2 wrong use, 3 others
+/// are at work on the rest (--share), 75 SIGTERM came before it was done.
 int main(int argc, char** argv) {
   using namespace weft;
   using namespace weft::app;
@@ -39,6 +44,7 @@ int main(int argc, char** argv) {
   app.require_subcommand(1);
   app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (") + commit() + ")");
   Context context;
+  context.words.assign(argv + 1, argv + argc);
   register_run(app, context);
   register_plan(app, context);
   register_estimate(app, context);
@@ -51,6 +57,8 @@ int main(int argc, char** argv) {
   register_calibrate(app, context);
   register_evaluate(app, context);
   register_ablate(app, context);
+  register_status(app, context);
+  register_cancel(app, context);
   register_export(app, context);
   register_conformance(app, context);
   register_plugins(app, context);
@@ -74,7 +82,7 @@ int main(int argc, char** argv) {
     if (context.json) Context::keep_output();
     const int code = context.action();
     Context::flush_output();
-    return code;
+    return failed_or_stopped(code);
   } catch (const ConfigError& error) {
     std::fprintf(stderr, "error: %s\n", error.what());
     return 2;
@@ -83,6 +91,6 @@ int main(int argc, char** argv) {
     return 2;
   } catch (const std::exception& error) {
     std::fprintf(stderr, "error: %s\n", error.what());
-    return 1;
+    return failed_or_stopped(1);
   }
 }

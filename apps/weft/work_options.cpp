@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdio>
 
+#include "cluster/job_scripts.hpp"
 #include "options.hpp"
 #include "processes/worker_process.hpp"
 
@@ -22,9 +23,33 @@ void WorkOptions::apply(SweepOptions& sweep) const {
   sweep.retry = retry();
   sweep.fail_fast = fail_fast;
   sweep.cell_limit_s = cell_limit_s;
+  sweep.is_share = share;
+}
+
+ClusterWork sweep_work(const std::string& command, const std::filesystem::path& results,
+                       std::vector<std::string> folders, std::size_t cells, std::size_t left) {
+  ClusterWork work;
+  work.command = work.label = command;
+  std::replace(work.label.begin(), work.label.end(), ' ', '-');
+  work.results = results;
+  work.files = {"cells", std::move(folders), "seed", ".json", ".times.json", {}};
+  work.total = static_cast<std::int64_t>(cells);
+  work.left = static_cast<std::int64_t>(left);
+  return work;
 }
 
 std::string failure_text(const SweepRow& row) { return std::string(to_string(row.status)) + ": " + row.failure; }
+
+int share_exit_code(const Context& context, std::size_t rows, std::size_t cells) {
+  if (rows == cells) return 0;
+  if (*context.cancel_flag()) {
+    context.say("interrupted; run the same command again to finish it");
+    return 1;
+  }
+  context.say("did a share; other processes are at work on the " + std::to_string(cells - rows) +
+              " cells that are left");
+  return kOthersAtWork;
+}
 
 int sweep_exit_code(const Context& context, const std::vector<std::vector<SweepRow>>& sweeps, std::size_t cells) {
   std::vector<WorkStatus> statuses;
@@ -45,6 +70,10 @@ void add_work_options(CLI::App& command, const std::string& unit, WorkOptions& o
                     "diverged")
       ->check(CLI::IsMember({"accidents", "all"}));
   command.add_flag("--fail-fast", options.fail_fast, "Stop after the first " + unit + " that fails");
+  command.add_flag(
+      "--share", options.share,
+      "Do a share: " + units +
+          " that no other process has claimed, and no tables; exit code 3 when others are at work on the rest");
   add_process_options(command, unit, options);
 }
 
@@ -58,6 +87,7 @@ void add_process_options(CLI::App& command, const std::string& unit, WorkOptions
       ->type_name("S");
   command.add_flag("--in-process", options.in_process,
                    "Work in threads of this process, for a debugger: a crash ends everything");
+  add_cluster_options(command, options.cluster);
 }
 
 void warn_of_failures(const std::vector<WorkStatus>& statuses, std::size_t total, const std::string& what) {

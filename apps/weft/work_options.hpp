@@ -2,6 +2,7 @@
 #include <string>
 #include <vector>
 
+#include "cluster_run.hpp"
 #include "context.hpp"
 #include "experiments/sweep.hpp"
 #include "processes/work_status.hpp"
@@ -14,6 +15,8 @@ struct WorkOptions {
   bool fail_fast = false;
   double cell_limit_s = 0.0;
   bool in_process = false;
+  bool share = false;  ///< --share
+  ClusterOptions cluster;
 
   Retry retry() const;
   /// Sets what they say in the options of a sweep, and that child processes run its cells.
@@ -26,9 +29,16 @@ void add_work_options(CLI::App& command, const std::string& unit, WorkOptions& o
 /// Those of them that say how child processes work, for commands that keep no rows. @param unit "case" or "batch".
 void add_process_options(CLI::App& command, const std::string& unit, WorkOptions& options);
 
+/// The cells of a sweep as work for a cluster. @param folders of rows, from the results' folder.
+ClusterWork sweep_work(const std::string& command, const std::filesystem::path& results,
+                       std::vector<std::string> folders, std::size_t cells, std::size_t left);
+
 /// "crashed: SIGSEGV in plugin ...".
 std::string failure_text(const SweepRow& row);
 
+/// The exit code of a command that did a share of its sweeps.
+/// @param rows that are there. @param cells asked for.
+int share_exit_code(const Context& context, std::size_t rows, std::size_t cells);
 /// The exit code of a command after its sweeps: 1 unless all cells are there and done. Says what is not.
 /// @param cells asked for.
 int sweep_exit_code(const Context& context, const std::vector<std::vector<SweepRow>>& sweeps, std::size_t cells);

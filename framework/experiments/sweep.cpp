@@ -149,11 +149,16 @@ class Sweep {
       {
         const std::lock_guard lock(mutex_);
         if (auto cell = claim()) return cell;
-        if (todo_.empty()) return std::nullopt;
+        if (todo_.empty() || (options_.is_share && others_are_at_work())) return std::nullopt;
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(500));
     }
     return std::nullopt;
+  }
+
+  bool others_are_at_work() {
+    return std::all_of(todo_.begin(), todo_.end(),
+                       [&](const Cell& cell) { return claims_.is_held(cell.file.stem().string()); });
   }
 
   std::optional<Cell> claim() {
@@ -223,6 +228,20 @@ std::unique_ptr<Host> make_cell_host(std::shared_ptr<const PluginRegistry> regis
   options.seed = static_cast<std::uint64_t>(cell.at("seed").as_int());
   options.cancel = cancel;
   return make_host(std::move(registry), options);
+}
+
+void prepare_sweep(const SweepPlan& plan, const SweepOptions& options) {
+  const auto earlier = read_sweep(plan, options.folder, options.accept_changed).rows;
+  make_writable_folder(options.folder / "cells");
+  write_identities(plan, options.folder);
+  for (const auto& row : earlier)
+    if (tries_again(options.retry, row.status)) fs::remove(row.file);
+}
+
+std::size_t cells_left(const SweepPlan& plan, const std::vector<SweepRow>& earlier, Retry retry) {
+  const auto stay = std::count_if(earlier.begin(), earlier.end(),
+                                  [&](const SweepRow& row) { return !tries_again(retry, row.status); });
+  return plan.cells() - static_cast<std::size_t>(stay);
 }
 
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options) {

@@ -87,6 +87,7 @@ struct SweepOptions {
   SweepRunner runner = {};
   Retry retry = Retry::none;  ///< which failed cells of earlier runs are run again
   bool fail_fast = false;     ///< stop after the first cell that fails
+  bool is_share = false;      ///< return when the missing cells are those that other living processes run
   double cell_limit_s = 0.0;  ///< CPU time of a cell after which it hangs; 0: 20 times the slowest, at least 600
   /// Called after every row, one call at a time. `done` includes the rows of earlier runs.
   std::function<void(const SweepRow& row, std::size_t done, std::size_t total)> progress = {};
@@ -96,10 +97,16 @@ struct SweepOptions {
 std::unique_ptr<Host> make_cell_host(std::shared_ptr<const PluginRegistry> registry, const ConfigNode& cell,
                                      const std::atomic<bool>* cancel);
 
+/// Makes the folder of a sweep, with what its cells belong to and without the rows that are to be run again. run_sweep() does
+/// so, too; a cluster's tasks, which start on their own, find it done.
+void prepare_sweep(const SweepPlan& plan, const SweepOptions& options);
+/// Cells that have no row yet, or one that is to be run again. @param earlier the rows that are there.
+std::size_t cells_left(const SweepPlan& plan, const std::vector<SweepRow>& earlier, Retry retry);
+
 /// Runs all cells that have no row yet, seed by seed, several in parallel. A row's file is whole or absent, so the next
 /// run finishes a killed one. A cell that fails, crashes or hangs gets a row that says so; the other cells continue.
 /// Several processes may run one sweep: each claims the cells that it runs, and the call returns when all rows are there.
-/// @return all rows, [seeds * arms]; fewer if cancelled, or stopped by fail_fast.
+/// @return all rows, [seeds * arms]; fewer if cancelled, or stopped by fail_fast, or if `is_share` is set.
 /// @throws ConfigError if earlier rows belong to another identity and that is not accepted, or for a damaged row.
 std::vector<SweepRow> run_sweep(const SweepPlan& plan, const SweepOptions& options);
 

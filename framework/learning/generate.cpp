@@ -114,6 +114,26 @@ WorkFailure failure_of(const Example& example) {
   return {WorkStatus::diverged, example.failure};
 }
 
+std::int64_t files_left(const DataParams& params, std::int64_t examples, const fs::path& folder) {
+  std::int64_t left = 0, last = -1;
+  const std::int64_t files = (examples + params.shard_examples - 1) / params.shard_examples;
+  for (std::int64_t number = 0; number < files; ++number) {
+    if (fs::exists(folder / shard_name(number)))
+      last = number;
+    else
+      ++left;
+  }
+  if (last < 0) return left;
+  // All others were full when this one was begun.
+  const std::int64_t wanted = std::min(params.shard_examples, examples - last * params.shard_examples);
+  try {
+    if (std::cmp_less(read_shard(folder / shard_name(last)).examples.size(), wanted)) ++left;
+  } catch (const ConfigError&) {
+    ++left;  // damaged: it is made again
+  }
+  return left;
+}
+
 bool GenerateReport::acceptable() const {
   const auto diverged = std::count(failures.begin(), failures.end(), WorkStatus::diverged);
   constexpr std::int64_t kMostDiverged = 100;  // one in so many
@@ -263,6 +283,7 @@ class Production {
   GenerateReport report() {
     report_.seconds = elapsed();
     report_.cancelled = over();
+    report_.left = std::ssize(missing_);
     return report_;
   }
 
@@ -307,11 +328,16 @@ class Production {
           ++open_->at_work;
           return Job{open_, index};
         }
-        if (missing_.empty()) return std::nullopt;
+        if (missing_.empty() || (options_.is_share && others_are_at_work())) return std::nullopt;
       }
       std::this_thread::sleep_for(std::chrono::milliseconds(500));
     }
     return std::nullopt;
+  }
+
+  bool others_are_at_work() {
+    return std::all_of(missing_.begin(), missing_.end(),
+                       [&](const ShardRange& range) { return claims_.is_held(shard_name(range.number)); });
   }
 
   /// Claims a missing file. Files that other processes have made in the meantime are kept.

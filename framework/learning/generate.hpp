@@ -64,6 +64,7 @@ struct GenerateOptions {
   std::function<std::string(std::int64_t index)> request = {};
   Retry retry = Retry::none;  ///< which failed examples of complete files are made again
   bool fail_fast = false;     ///< stop after the first example that failed
+  bool is_share = false;      ///< return when the missing files are those that other living processes make
   double cell_limit_s = 0.0;  ///< CPU time of an example after which it hangs; 0: 20 times the slowest, at least 600
   /// Called for every example that fails, one call at a time.
   std::function<void(std::int64_t index, const WorkFailure& failure)> failed = {};
@@ -72,6 +73,7 @@ struct GenerateReport {
   std::int64_t made = 0, kept = 0, files = 0, refused = 0;
   /// Of the failed examples in the files of this part, kept ones included.
   std::vector<WorkStatus> failures;
+  std::int64_t left = 0;  ///< files that other processes are making
   double seconds = 0.0;
   bool cancelled = false;
 
@@ -81,6 +83,9 @@ struct GenerateReport {
 };
 /// Called after every file.
 using GenerateProgress = std::function<void(const GenerateReport&, std::int64_t total)>;
+
+/// Files of [0, examples) that are not there, or hold fewer examples. Looks at no contents but the number of examples.
+std::int64_t files_left(const DataParams& params, std::int64_t examples, const std::filesystem::path& folder);
 
 /// How a failed example failed. Its `failure` begins with the status unless it diverged.
 WorkFailure failure_of(const Example& example);

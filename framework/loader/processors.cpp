@@ -3,7 +3,10 @@
 #include <sched.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
+#include <cstdlib>
+#include <cstring>
 #include <fstream>
 #include <sstream>
 #include <string>
@@ -101,8 +104,37 @@ std::optional<double> processor_quota(const fs::path& root) {
   return least;
 }
 
+namespace {
+
+/// A variable that Slurm sets in its jobs, as a positive number.
+std::optional<std::int64_t> slurm_number(const char* name) {
+  const char* text = std::getenv(name);
+  std::int64_t value = 0;
+  if (std::getenv("SLURM_JOB_ID") == nullptr || text == nullptr) return std::nullopt;
+  const char* end = text + std::strlen(text);
+  const auto [stop, error] = std::from_chars(text, end, value);
+  if (error != std::errc() || stop != end || value <= 0) return std::nullopt;
+  return value;
+}
+
+}  // namespace
+
+std::optional<int> processors_of_slurm() {
+  constexpr std::int64_t kMost = 1 << 20;
+  for (const char* name : {"SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE"})
+    if (const auto number = slurm_number(name)) return static_cast<int>(std::min(*number, kMost));
+  return std::nullopt;
+}
+
+std::optional<std::int64_t> memory_of_slurm_mb() {
+  if (const auto node = slurm_number("SLURM_MEM_PER_NODE")) return node;
+  const auto each = slurm_number("SLURM_MEM_PER_CPU"), processors = slurm_number("SLURM_CPUS_ON_NODE");
+  if (!each) return std::nullopt;
+  return *each * processors.value_or(1);
+}
+
 int allowed_processors() {
-  const int processors = processors_of_affinity();
+  const int processors = std::min(processors_of_affinity(), processors_of_slurm().value_or(1 << 20));
   const auto quota = processor_quota();
   if (!quota || *quota >= processors) return processors;
   return std::max(1, static_cast<int>(std::ceil(*quota)));

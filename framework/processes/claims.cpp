@@ -118,12 +118,21 @@ struct Claims::State {
         start_of(static_cast<pid_t>(content->process)) != content->start)
       return true;
     const auto now = Clock::now();
-    auto& [seen, since] = observed[name];
-    if (seen != text || since == Clock::time_point()) {
-      seen = text;
-      since = now;
+    Observed& claim = observed[name];
+    const bool is_first = claim.since == Clock::time_point();
+    if (claim.text != text || is_first) {
+      claim.has_changed = !is_first;
+      claim.text = text;
+      claim.since = now;
     }
-    return std::chrono::duration<double>(now - since).count() >= options.dead_after_s;
+    return std::chrono::duration<double>(now - claim.since).count() >= options.dead_after_s;
+  }
+
+  bool is_held(const std::string& name) {
+    const auto text = read_all(file(name));
+    if (!text || is_dead(name, *text)) return false;
+    const auto content = Content::parse(*text);
+    return (content && content->machine == options.machine && content->start != kUnknown) || observed[name].has_changed;
   }
 
   /// Removes a dead claim. @return false if another process was first, or if it lives after all.
@@ -200,7 +209,13 @@ struct Claims::State {
   std::condition_variable wake;
   bool ending = false;
   std::map<std::string, Content> own;
-  std::map<std::string, std::pair<std::string, Clock::time_point>> observed;  ///< others' claims: contents, since when
+  /// Another process's claim.
+  struct Observed {
+    std::string text;  ///< its contents
+    Clock::time_point since;
+    bool has_changed = false;  ///< since it was seen first
+  };
+  std::map<std::string, Observed> observed;
   std::thread toucher;
 };
 
@@ -235,6 +250,11 @@ std::optional<int> Claims::take(const std::string& name) {
   if (!state_->bury(name, *text)) return std::nullopt;
   const long attempt = before ? before->attempt + 1 : 2;
   return state_->make(name, attempt) ? std::optional(static_cast<int>(attempt)) : std::nullopt;
+}
+
+bool Claims::is_held(const std::string& name) {
+  const std::lock_guard lock(state_->mutex);
+  return state_->is_held(name);
 }
 
 void Claims::release(const std::string& name) {

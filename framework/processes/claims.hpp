@@ -36,6 +36,10 @@ class Claims {
   ///   Nothing: a living process has it.
   /// @throws Error naming the file and the reason if no claim can be made there.
   std::optional<int> take(const std::string& name);
+  /// Whether another process is known to be alive and at work on it: it runs on this machine, or it has touched its claim
+  /// since this process first saw that. So a claim of another machine is known to be held after some seconds, or dead
+  /// after dead_after_s.
+  bool is_held(const std::string& name);
   /// Gives up a claim that take() gave.
   void release(const std::string& name);
 

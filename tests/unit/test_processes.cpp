@@ -288,6 +288,24 @@ TEST(Claims, OfAnotherMachineAreTakenWhenTheyAreNotTouched) {
   EXPECT_EQ(text_in(folder / "claims/stuck.claim"), after);
 }
 
+TEST(Claims, AreKnownToBeHeldOnceTheirProcessShowsThatItLives) {
+  const Folder folder;
+  Claims living(folder / "claims", {.touch_every_s = 0.02, .machine = "one"});
+  Claims stuck(folder / "claims", {.touch_every_s = 1000.0, .machine = "two"});
+  Claims neighbour(folder / "claims"), watcher(folder / "claims");  // both of this machine
+  ASSERT_EQ(living.take("living"), 1);
+  ASSERT_EQ(stuck.take("stuck"), 1);
+  ASSERT_EQ(neighbour.take("near"), 1);
+  EXPECT_TRUE(watcher.is_held("near"));
+  EXPECT_FALSE(watcher.is_held("nobody's"));
+  const auto deadline = seconds_from_now(30);
+  while (!watcher.is_held("living") && std::chrono::steady_clock::now() < deadline) sleep_s(0.02);
+  EXPECT_TRUE(watcher.is_held("living"));
+  EXPECT_FALSE(watcher.is_held("stuck"));
+  neighbour.release("near");
+  EXPECT_FALSE(watcher.is_held("near"));
+}
+
 TEST(Claims, HalfWrittenOnesDieToo) {
   const Folder folder;
   std::filesystem::create_directory(folder / "claims");

@@ -2,6 +2,9 @@
 
 #include <sched.h>
 
+#include <cstdlib>
+#include <map>
+#include <string>
 #include <thread>
 
 #include "unit/test_support.hpp"
@@ -78,6 +81,56 @@ TEST(Processors, AffinityLimitsThem) {
     EXPECT_EQ(allowed_processors(), 1);
   })
       .join();
+}
+
+/// Sets variables of Slurm's; they are gone after the test.
+class SlurmVariables {
+ public:
+  explicit SlurmVariables(const std::map<std::string, std::string>& values) {
+    for (const char* name : kNames) unsetenv(name);
+    for (const auto& [name, value] : values) setenv(name.c_str(), value.c_str(), 1);
+  }
+  ~SlurmVariables() {
+    for (const char* name : kNames) unsetenv(name);
+  }
+  SlurmVariables(const SlurmVariables&) = delete;
+  SlurmVariables& operator=(const SlurmVariables&) = delete;
+
+ private:
+  static constexpr const char* kNames[] = {"SLURM_JOB_ID", "SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE",
+                                           "SLURM_MEM_PER_NODE", "SLURM_MEM_PER_CPU"};
+};
+
+TEST(Processors, OfATaskOfSlurmAreThoseThatItAskedFor) {
+  {
+    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_PER_TASK", "1"}, {"SLURM_CPUS_ON_NODE", "64"}});
+    EXPECT_EQ(processors_of_slurm(), 1);
+    EXPECT_EQ(allowed_processors(), 1);
+  }
+  {
+    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_ON_NODE", "5"}});
+    EXPECT_EQ(processors_of_slurm(), 5);
+  }
+  {
+    const SlurmVariables no_job({{"SLURM_CPUS_PER_TASK", "1"}});  // left in a shell
+    EXPECT_EQ(processors_of_slurm(), std::nullopt);
+  }
+  const SlurmVariables odd({{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_PER_TASK", "-3"}, {"SLURM_CPUS_ON_NODE", "2x"}});
+  EXPECT_EQ(processors_of_slurm(), std::nullopt);
+  EXPECT_GE(allowed_processors(), 1);
+}
+
+TEST(Processors, MemoryOfATaskOfSlurm) {
+  {
+    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_NODE", "2048"}});
+    EXPECT_EQ(memory_of_slurm_mb(), 2048);
+  }
+  {
+    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_CPU", "512"}, {"SLURM_CPUS_ON_NODE", "4"}});
+    EXPECT_EQ(memory_of_slurm_mb(), 2048);
+  }
+  const SlurmVariables none({{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_NODE", "0"}});  // 0: all of the node's
+  EXPECT_EQ(memory_of_slurm_mb(), std::nullopt);
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <thread>
 
 #include "processes/claims.hpp"
@@ -240,6 +241,21 @@ TEST(Sweep, KilledAtAnyMomentItIsFinishedByTheNextRun) {
     EXPECT_EQ(text_of(rows), whole) << calls;
     EXPECT_GT(calls, 0);
   }
+}
+
+TEST(Sweep, AShareEndsWhenOthersAreAtWorkOnTheRest) {
+  const Files s;
+  const auto plan = one_arm({1, 2, 3});
+  std::filesystem::create_directories(s.folder / "out/claims");
+  const std::string cell = row_file(plan, s.folder / "out", 0, 2).stem().string();
+  std::optional<Claims> other(std::in_place, s.folder / "out/claims");
+  ASSERT_EQ(other->take(cell), 1);
+  auto options = s.options("out", formula);
+  options.is_share = true;
+  EXPECT_EQ(run_sweep(plan, options).size(), 2u);
+  EXPECT_EQ(cells_left(plan, read_sweep(plan, s.folder / "out", false).rows, Retry::none), 1u);
+  other.reset();
+  EXPECT_EQ(run_sweep(plan, options).size(), 3u);
 }
 
 TEST(Sweep, HalfWrittenRowsDoNotCount) {

@@ -1,0 +1,387 @@
+#!/usr/bin/env python3
+"""`weft ... --on slurm` with a real Slurm on this machine, and what goes wrong in clusters: test_slurm.py WEFT [options]
+
+Four nodes on loopback (slurm_kit.py). Each scenario runs a sweep or another command on them, breaks something, and compares
+the result with that of one process, byte for byte: nothing is lost, nothing is there twice, and weft says what happened.
+--all adds what takes longer: a real time limit, and every command that takes --on. Exit code 0: all held; 1: not; 77: Slurm
+is not installed, or this is not root, and nothing was tested.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from pathlib import Path
+
+from slurm_kit import Slurm, missing_programs, name_of, parent_of
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "long"))
+import fault_kit  # noqa: E402
+
+SKIPPED = 77
+SEEDS = 10  # of two arms: cells of a sweep
+
+
+class Failed(Exception):
+    pass
+
+
+def require(condition, text):
+    if not condition:
+        raise Failed(text)
+
+
+class Bench:
+    """The cluster, the inputs, and the right results."""
+
+    def __init__(self, weft, slurm, folder):
+        self.weft, self.slurm, self.folder = str(Path(weft).resolve()), slurm, folder
+        for name, text in (("task", fault_kit.TASK), ("ablation", fault_kit.ablation(SEEDS)),
+                           ("experiment", fault_kit.EXPERIMENT), ("physics", fault_kit.PHYSICS)):
+            (folder / f"{name}.yaml").write_text(text)
+        self.environment = {name: value for name, value in slurm.environment.items()
+                            if not name.startswith(("WEFT_", "LC_", "LANG"))}
+        self.environment["XDG_CONFIG_HOME"] = str(folder / "config")
+        self.profile("test")
+        self._right = {}
+        self.out = None
+
+    def profile(self, name, **keys):
+        """A profile in the user's folder: four tasks, one a node."""
+        values = {"cpus": 2, "tasks": 4, "poll_s": 1, "grace_s": 15, **keys}
+        file = self.folder / "config" / "weft" / f"{name}.yaml"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("".join(f"{key}: {json.dumps(value)}\n" for key, value in values.items()))
+
+    def start(self, arguments, *options):
+        """Starts weft in the folder of the inputs."""
+        return subprocess.Popen([self.weft, *arguments.split(), *options], cwd=self.folder, env=self.environment,
+                                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+    def run(self, arguments, *options, seconds=180, code=0):
+        """@return what it printed."""
+        process = self.start(arguments, *options)
+        end, text = time.monotonic() + seconds, None
+        while text is None:
+            try:
+                text = process.communicate(timeout=1)[0]
+            except subprocess.TimeoutExpired:
+                self.slurm.hurry()
+                if time.monotonic() > end:
+                    process.kill()
+                    raise Failed(f"weft {arguments} did not end: {process.communicate()[0]}\n{self.slurm.jobs()}") from None
+        require(code is None or process.returncode == code,
+                f"weft {arguments} {' '.join(options)} ended with {process.returncode}, must be {code}: {text}")
+        return text
+
+    def submit(self, arguments, out, profile="test", file=""):
+        """Submits and comes back. @param file of the result, such as /model.h5. @return the ids of array and merge."""
+        self.out = self.folder / out
+        self.run(f"{arguments} --out {out}{file} --detach", "--on", f"slurm:{profile}")
+        return self.record(arguments)
+
+    def record(self, arguments):
+        label = "-".join(word for word in arguments.split()[:2] if not word.endswith(".yaml"))
+        record = json.loads(next((self.out / "slurm").glob(f"{label}*/submission.json")).read_text())
+        return record["array"], record["merge"]
+
+    def status(self):
+        return json.loads(self.run(f"status {self.out} --json", code=None))[0]
+
+    def wait_for_units(self, count, seconds=90):
+        """Until so many units of work are there, while the work goes on."""
+        end = time.monotonic() + seconds
+        while (status := self.status())["done"] < count:
+            require(time.monotonic() < end and not status["is_over"], f"{count} units do not come: {status}")
+            time.sleep(0.2)
+
+    def wait_until_over(self, seconds=180):
+        end = time.monotonic() + seconds
+        while not (status := self.status())["is_over"]:
+            require(time.monotonic() < end, f"it does not end: {status}\n{self.slurm.jobs()}\n{self.logs()}")
+            self.slurm.hurry()
+            time.sleep(0.5)
+        return status
+
+    def logs(self):
+        return "\n".join(f"{log.name}: {log.read_text(errors='replace')[-1500:]}"
+                         for log in sorted(self.out.glob("slurm/*/logs/*.log")))
+
+    def right(self, arguments, file=""):
+        """{file: bytes} of one process with two jobs, which writes to a folder of the same name: some results hold it."""
+        if arguments not in self._right:
+            folder = self.folder / f"right{len(self._right)}"
+            folder.mkdir()
+            for one in self.folder.iterdir():
+                if one.suffix == ".yaml" or one.name in ("data", "model"):
+                    (folder / one.name).symlink_to(one)
+            name = self.out.name if file else "out"
+            one = subprocess.run([self.weft, *arguments.split(), "--out", name + file, "--jobs", "2", "--quiet"], cwd=folder,
+                                 env=self.environment, capture_output=True, text=True, check=False)
+            require(one.returncode == 0, f"weft {arguments} in one process failed: {one.stderr}")
+            self._right[arguments] = fault_kit.contents(folder / name)
+        return self._right[arguments]
+
+    def require_right(self, arguments, file=""):
+        """The result equals that of one process, and nothing is left behind."""
+        found = {name: data for name, data in fault_kit.contents(self.out).items() if not name.startswith("slurm/")}
+        right = self.right(arguments, file)
+        wrong = sorted(name for name in right.keys() | found.keys() if right.get(name) != found.get(name))
+        require(not wrong, f"not as from one process: {wrong}\n{self.logs()}")
+        left = fault_kit.left_behind(self.out)
+        require(not left, f"left behind: {left}")
+
+    def require_done(self, arguments, *texts, file=""):
+        """Waits, and checks the result and what weft says about the run. @return that."""
+        status = self.wait_until_over()
+        require(status["is_done"], f"not done: {status}\n{self.logs()}")
+        self.require_right(arguments, file)
+        said = self.run(f"status {self.out}")
+        for text in texts:
+            require(text in said, f"'{text}' is not said: {said}")
+        return said
+
+
+SWEEP = "ablate ablation.yaml"
+
+
+def plain(bench):
+    """Followed to its end; called again, it submits nothing; a second command for the folder is refused as ever."""
+    bench.out = bench.folder / "plain"
+    dry = bench.run(f"{SWEEP} --out plain --dry-run", "--on", "slurm:test")
+    require("#SBATCH --array=1-4" in dry and "--dependency" not in dry, f"the dry run shows: {dry}")
+    require(not bench.out.exists() and not bench.slurm.jobs(), "the dry run did something")
+    text = bench.run(f"{SWEEP} --out plain", "--on", "slurm:test")
+    require(f"{2 * SEEDS} of {2 * SEEDS} cells" in text and "error_mm" in text, f"it said: {text}")
+    bench.require_done(SWEEP)
+    before = len(bench.slurm.jobs())
+    text = bench.run(f"{SWEEP} --out plain", "--on", "slurm:test")
+    require("nothing was submitted" in text and len(bench.slurm.jobs()) == before, f"called again: {text}")
+    nodes = {node for job, _, _, node in bench.slurm.jobs() if "_" in job}
+    require(len(nodes) > 1, f"all tasks ran on {nodes}")
+
+
+def node_killed(bench):
+    """A node loses its power in the middle of its task. Slurm finds out and starts the task on another one."""
+    array, _ = bench.submit(SWEEP, "node_killed")
+    bench.wait_for_units(3)
+    running = [(job, node) for job, state, _, node in bench.slurm.jobs() if job.startswith(array) and state == "RUNNING"]
+    require(running, "no task runs any more")
+    job, node = running[0]
+    bench.slurm.kill_node(node)
+    try:
+        said = bench.require_done(SWEEP)
+        task = job.partition("_")[2]
+        require(f"task {task} was started" in said or f"task {task} failed on {node}" in said or
+                (bench.out / f"slurm/ablate/tasks/{array}.all-done").exists(), f"nothing is said about task {task}: {said}")
+    finally:
+        bench.slurm.start_node(node)
+        bench.slurm.wait_for_nodes()
+
+
+def killed_and_requeued(bench):
+    """kill -9 of weft in one task, of the script of another one, and a third that an administrator requeues."""
+    array, _ = bench.submit(SWEEP, "killed")
+    bench.wait_for_units(2)
+    tasks = [job for job, state, _, _ in bench.slurm.jobs() if job.startswith(array + "_") and state == "RUNNING"]
+    require(len(tasks) >= 3, f"only {tasks} run")
+    # The script is the child of slurmstepd; weft is a child of the script.
+    processes = bench.slurm.processes_of(tasks[0])
+    programs = [one for one in processes if name_of(one) == "weft" and name_of(parent_of(one)) != "weft"]
+    os.kill(programs[0], signal.SIGKILL)
+    scripts = [one for one in bench.slurm.processes_of(tasks[1]) if name_of(parent_of(one)).startswith("slurmstepd")]
+    os.kill(scripts[0], signal.SIGKILL)
+    requeued = bench.slurm.run("scontrol", "requeue", tasks[2])
+    require(requeued.returncode == 0, f"scontrol requeue: {requeued.stderr}")
+    said = bench.require_done(SWEEP, f"task {tasks[0].partition('_')[2]} was started 2 times", "by a signal from outside")
+    require(f"task {tasks[1].partition('_')[2]} failed on n" in said, f"the killed script is not named: {said}")
+
+
+def asked_to_end(bench):
+    """SIGTERM as before a time limit: the task ends at once and goes back to the queue."""
+    array, _ = bench.submit(SWEEP, "asked", profile="test")
+    bench.wait_for_units(2)
+    task = next(job for job, state, _, _ in bench.slurm.jobs() if job.startswith(array + "_") and state == "RUNNING")
+    sent = bench.slurm.run("scancel", "--signal=TERM", "--batch", task)
+    require(sent.returncode == 0, f"scancel: {sent.stderr}")
+    number = task.partition("_")[2]
+    bench.require_done(SWEEP)
+    log = (bench.out / f"slurm/ablate/logs/task-{task}.log").read_text()
+    record = (bench.out / f"slurm/ablate/tasks/{task}.txt").read_text()
+    require("stopping" in log and "goes back to the queue" in log, f"task {number} says: {log}")
+    require("ended code=75" in record and "requeued" in record, f"task {number} recorded: {record}")
+
+
+def never_starts(bench):
+    """Only one node is there, and one of the waiting tasks is held: the others do its work, and it is cancelled."""
+    others = ",".join(bench.slurm.nodes[1:])
+    bench.slurm.run("scontrol", "update", f"NodeName={others}", "State=DRAIN", "Reason=test")
+    try:
+        array, _ = bench.submit(SWEEP, "never")
+        held = bench.slurm.run("scontrol", "hold", f"{array}_4")
+        require(held.returncode == 0, f"scontrol hold: {held.stderr}")
+        bench.wait_for_units(1)
+        said = bench.run(f"status {bench.out}")
+        require("task 4 does not start: JobHeld" in said, f"the held task is not named: {said}")
+        bench.require_done(SWEEP)
+    finally:
+        bench.slurm.run("scontrol", "update", f"NodeName={others}", "State=RESUME")
+        bench.slurm.wait_for_nodes()
+
+
+def controller_restarted(bench):
+    """slurmctld goes away in the middle, and comes back; whoever follows the jobs is told, and goes on."""
+    bench.right(SWEEP)
+    bench.out = bench.folder / "controller"
+    follower = bench.start(f"{SWEEP} --out controller", "--on", "slurm:test")
+    while not (bench.out / "slurm/ablate/submission.json").exists() or not bench.record(SWEEP)[1]:
+        require(follower.poll() is None, f"it ended: {follower.communicate()[0] if follower.poll() is not None else ''}")
+        time.sleep(0.1)
+    bench.wait_for_units(1)
+    bench.slurm.stop_controller()
+    time.sleep(4)  # several looks of the follower
+    bench.slurm.start_controller()
+    text = follower.communicate(timeout=180)[0]
+    require(follower.returncode == 0 and "Slurm does not answer" in text, f"ended with {follower.returncode}: {text}")
+    bench.require_done(SWEEP)
+
+
+def no_room(bench):
+    """The disk of one node is full: its task says so and fails, and the others do its work."""
+    node = bench.slurm.nodes[2]
+    cells = bench.folder / "no_room/cells"
+    cells.mkdir(parents=True)
+    bench.slurm.kill_node(node)
+    bench.slurm.wrappers[node] = ("unshare", "-m", "sh", "-c",
+                                  f"mount -t tmpfs -o size=8k tmpfs '{cells}' && head -c 8192 /dev/zero >'{cells}/full'; "
+                                  'exec "$@"', "sh")
+    bench.slurm.start_node(node)
+    try:
+        bench.slurm.wait_for_nodes()
+        bench.submit(SWEEP, "no_room")
+        bench.require_done(SWEEP, f"failed on {node}: weft ended with exit code 1", "No space left on device")
+    finally:
+        bench.slurm.kill_node(node)
+        del bench.slurm.wrappers[node]
+        bench.slurm.start_node(node)
+        bench.slurm.wait_for_nodes()
+
+
+def cancelled(bench):
+    """Cancelled in the middle; another command is refused meanwhile; the same command submits only what is left."""
+    bench.submit(SWEEP, "cancelled")
+    bench.wait_for_units(2)
+    refused = bench.run(f"{SWEEP} --out cancelled --seed 77 --accept-changed", "--on", "slurm:test", code=2)
+    require("jobs of another command are in the queue" in refused, f"refused: {refused}")
+    again = bench.run(f"{SWEEP} --out cancelled --detach", "--on", "slurm:test")
+    require("in the queue already" in again, f"called again: {again}")
+    bench.run(f"cancel {bench.out}")
+    status = bench.wait_until_over()
+    require(not status["is_done"] and 2 <= status["done"] < status["total"], f"after the cancel: {status}")
+    require("it was cancelled" in bench.run(f"status {bench.out}", code=1), "the cancel is not said")
+    bench.submit(SWEEP, "cancelled")
+    record = json.loads((bench.out / "slurm/ablate/submission.json").read_text())
+    require(record["left"] == status["total"] - status["done"], f"submitted {record['left']} after {status}")
+    bench.require_done(SWEEP)
+
+
+def refusals(bench):
+    """What is wrong is said before anything changes."""
+    bench.profile("wrong", partition="nowhere")
+    text = bench.run(f"{SWEEP} --out wrong", "--on", "slurm:wrong", code=1)
+    require("sbatch refused" in text and "partition" in text, f"a partition that is not there: {text}")
+    text = bench.run(f"{SWEEP} --out wrong2", "--on", "slurm:tset", code=2)
+    require("no profile is called tset" in text and "nearest: test" in text, f"a wrong name: {text}")
+    bench.environment["SLURM_CONF"], kept = "/nowhere", bench.environment["SLURM_CONF"]
+    text = bench.run(f"{SWEEP} --out wrong3", "--on", "slurm:test", code=1)
+    bench.environment["SLURM_CONF"] = kept
+    require("Slurm does not say" in text, f"without a controller: {text}")
+    require(not (bench.folder / "wrong2").exists() and not (bench.folder / "wrong3").exists(), "a folder was made")
+
+
+def generated(bench):
+    """A dataset: files are shared, and a node that reads another config would be refused."""
+    work = "generate experiment.yaml --seed 7 --examples 48"
+    bench.submit(work, "generated")
+    bench.require_done(work)
+
+
+def physics(bench):
+    """A command that is one unit of work."""
+    work = "evaluate physics physics.yaml"
+    bench.submit(work, "physics")
+    bench.require_done(work)
+
+
+def real_time_limit(bench):
+    """A task that needs several times its time limit."""
+    bench.profile("limit", tasks=1, time_limit_min=1, grace_s=45, cpus=1)
+    (bench.folder / "long.yaml").write_text(fault_kit.ablation(60))
+    work = "ablate long.yaml"
+    bench.right(work)
+    bench.submit(work, "limit", profile="limit")
+    bench.wait_until_over(900)
+    bench.require_done(work, "before its time limit")
+
+
+def learned(bench):
+    """Fit, calibration and evaluations on the cluster equal those of one process."""
+    bench.run("generate experiment.yaml --examples 48 --out data --quiet")
+    work, file = "train experiment.yaml --data data", "/model.h5"
+    bench.submit(work, "model", file=file)
+    bench.require_done(work, file=file)
+    model = "--set predictor.params.model=model/model.h5"
+    work = f"calibrate experiment.yaml {model} --data data"
+    bench.submit(work, "calibrated", file=file)
+    bench.require_done(work, file=file)
+    for work in (f"evaluate prediction experiment.yaml {model} --data data",
+                 f"evaluate planning experiment.yaml {model} --cases 2 --widths 0.1 1 --seed 3",
+                 f"evaluate estimation experiment.yaml {model} --cases 3 --seed 5"):
+        bench.submit(work, "-".join(work.split()[:2]))
+        bench.require_done(work)
+
+
+SCENARIOS = [refusals, plain, node_killed, killed_and_requeued, asked_to_end, never_starts, controller_restarted, no_room,
+             cancelled, generated, physics]
+LONGER = [real_time_limit, learned]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("weft")
+    parser.add_argument("--all", action="store_true", help="also what takes longer")
+    parser.add_argument("--only", type=lambda names: names.split(","), metavar="NAMES", help="comma-separated")
+    options = parser.parse_args()
+    missing = missing_programs()
+    if missing or os.getuid() != 0:
+        print(f"NOTHING WAS TESTED: {'not installed: ' + ', '.join(missing) if missing else 'this needs root'}")
+        return SKIPPED
+    chosen = [one for one in SCENARIOS + LONGER if (one.__name__ in options.only if options.only else
+                                                    options.all or one in SCENARIOS)]
+    failed = 0
+    with Slurm() as slurm:
+        work = slurm.folder / "work"
+        work.mkdir()
+        bench = Bench(options.weft, slurm, work)
+        for scenario in chosen:
+            started = time.monotonic()
+            try:
+                scenario(bench)
+                print(f"{scenario.__name__}: held ({time.monotonic() - started:.0f} s)", flush=True)
+            except Failed as problem:
+                failed += 1
+                print(f"{scenario.__name__}: FAILED ({time.monotonic() - started:.0f} s): {problem}", flush=True)
+            except Exception:  # a scenario that breaks must not hide the others
+                failed += 1
+                print(f"{scenario.__name__}: BROKE ({time.monotonic() - started:.0f} s)\n{traceback.format_exc()}", flush=True)
+            slurm.cancel_all()
+    print(f"{len(chosen) - failed} passed, {failed} failed")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
