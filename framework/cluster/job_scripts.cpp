@@ -52,13 +52,18 @@ record "ended code=$code stops=$stops node=$node"
 if [ "$code" = 75 ] || { [ "$stops" -gt 0 ] && [ "$code" != 0 ] && [ "$code" != 3 ]; }; then
   if [ "$restart" -ge "$most_restarts" ]; then
     record "gave-up restarts=$restart"
-    echo "the time limit came near after $restart restarts, as many as the profile allows"
+    echo "asked to end again, after $restart restarts, as many as the profile allows"
     exit 1
   fi
-  record "requeued node=$node"
-  echo "the time limit comes near: this task goes back to the queue"
   for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20; do  # slurmctld may be away for a while
-    if scontrol requeue "$id"; then sleep 60; fi  # Slurm ends this script
+    state=$(squeue --noheader --format=%T --jobs="$id" 2>/dev/null)
+    if [ "$state" = RUNNING ]; then
+      record "requeued node=$node"
+      echo "asked to end, as before a time limit: this task goes back to the queue"
+      if scontrol requeue "$id"; then sleep 60; fi  # Slurm ends this script
+    elif [ -n "$state" ]; then
+      break  # Slurm ends it: it was cancelled, or Slurm itself starts it again
+    fi
     sleep 2
   done
   exit 75

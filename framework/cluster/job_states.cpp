@@ -21,10 +21,10 @@ constexpr const char* kEnded = "ended-jobs.json";
 
 /// What a job wrote about itself: see the scripts.
 struct JobRecord {
-  std::vector<std::string> nodes;  ///< of each start
-  int ends = 0, requeues = 0, kills = 0;
-  bool has_ended = false, gave_up = false;  ///< of the last start
-  int code = 0;                             ///< of the last end
+  std::vector<std::string> nodes;                      ///< of each start
+  int ends = 0, requeues = 0, kills = 0, resumed = 0;  ///< resumed: starts after it was asked to end
+  bool has_ended = false, gave_up = false;             ///< of the last start
+  int code = 0;                                        ///< of the last end
 };
 
 JobRecord read_record(const fs::path& file) {
@@ -39,6 +39,7 @@ JobRecord read_record(const fs::path& file) {
     };
     if (line.starts_with("began ")) {
       record.nodes.push_back(value("node"));
+      if (record.has_ended && record.code == kStartAgain) ++record.resumed;
       record.has_ended = record.gave_up = false;
     } else if (line.starts_with("ended ")) {
       ++record.ends;
@@ -104,7 +105,7 @@ std::string started_text(const JobRecord& record) {
   const auto add = [&](int count, const std::string& what) {
     if (count > 0) why += (why.empty() ? "" : "; ") + std::to_string(count) + " x " + what;
   };
-  add(record.requeues, "before its time limit");
+  add(record.resumed, "after Slurm asked it to end, as before a time limit");
   const auto without_end = static_cast<int>(record.nodes.size()) - record.ends - (record.has_ended ? 0 : 1);
   add(without_end, "after it ended without a word: its node failed, or it was requeued");
   add(record.kills, "after weft was ended by a signal from outside");
@@ -172,6 +173,8 @@ class Look {
     }
     const std::string why = why_failed(record, job);
     ++(why.empty() ? states_.ended : states_.failed);
+    if (why.empty() && !record.nodes.empty() && !record.has_ended)
+      states_.notes.push_back(name + " ended without a word on " + record.nodes.back() + "; the others did its work");
     if (!why.empty()) say_failure(name, JobKind::task, id, why, record, job);
   }
 
@@ -199,9 +202,10 @@ class Look {
   /// Why a job that is not in the queue did not do its work; empty if it did.
   std::string why_failed(const JobRecord& record, const SlurmJob* job) const {
     const std::string slurm = job != nullptr ? slurm_failure_text(*job) : "";
-    const bool was_spared = all_done_ && (record.nodes.empty() || record.requeues > 0 || !record.has_ended);
-    if (was_spared) return "";  // the others had done everything
-    if (record.gave_up) return "its time limit came near again and again; its profile allows no more restarts";
+    if (was_spared(record, job)) return "";
+    if (submission_.is_cancelled && job != nullptr && job->state == "CANCELLED") return "";
+    if (record.gave_up)
+      return "it was asked to end again and again, as before a time limit; its profile allows no more restarts";
     if (record.has_ended) {
       if (record.code == 0 || record.code == kOthersAtWork) return "";
       if (record.code == kStartAgain || record.requeues > 0)
@@ -212,6 +216,13 @@ class Look {
     if (!slurm.empty()) return slurm;
     if (!record.nodes.empty()) return "it ended without a word: its node, or its script, was killed";
     return "it never started";
+  }
+  /// Whether a task was waiting to start, for the first time or again, when the others had done everything: then it was
+  /// cancelled.
+  bool was_spared(const JobRecord& record, const SlurmJob* job) const {
+    if (!all_done_ || record.gave_up) return false;
+    if (record.nodes.empty() || (record.has_ended && record.requeues > 0)) return true;
+    return !record.has_ended && job != nullptr && job->state == "CANCELLED";  // a failed node's
   }
   static std::string ended_by(int signal) { return "signal " + std::to_string(signal); }
 

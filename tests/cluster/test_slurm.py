@@ -57,10 +57,10 @@ class Bench:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("".join(f"{key}: {json.dumps(value)}\n" for key, value in values.items()))
 
-    def start(self, arguments, *options):
+    def start(self, arguments, *options, stdout=subprocess.PIPE):
         """Starts weft in the folder of the inputs."""
         return subprocess.Popen([self.weft, *arguments.split(), *options], cwd=self.folder, env=self.environment,
-                                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+                                stdin=subprocess.DEVNULL, stdout=stdout, stderr=subprocess.STDOUT, text=True)
 
     def run(self, arguments, *options, seconds=180, code=0):
         """@return what it printed."""
@@ -237,16 +237,25 @@ def controller_restarted(bench):
     """slurmctld goes away in the middle, and comes back; whoever follows the jobs is told, and goes on."""
     bench.right(SWEEP)
     bench.out = bench.folder / "controller"
-    follower = bench.start(f"{SWEEP} --out controller", "--on", "slurm:test")
-    while not (bench.out / "slurm/ablate/submission.json").exists() or not bench.record(SWEEP)[1]:
-        require(follower.poll() is None, f"it ended: {follower.communicate()[0] if follower.poll() is not None else ''}")
-        time.sleep(0.1)
+    log = bench.folder / "follower.log"
+    with log.open("w") as stream:
+        follower = bench.start(f"{SWEEP} --out controller", "--on", "slurm:test", stdout=stream)
+
+    def wait_until(condition, what):
+        end = time.monotonic() + 90
+        while not condition():
+            require(follower.poll() is None and time.monotonic() < end, f"{what}: {log.read_text()}")
+            time.sleep(0.1)
+
+    wait_until(lambda: "submitted jobs" in log.read_text(), "nothing was submitted")
     bench.wait_for_units(1)
     bench.slurm.stop_controller()
-    time.sleep(4)  # several looks of the follower
-    bench.slurm.start_controller()
-    text = follower.communicate(timeout=180)[0]
-    require(follower.returncode == 0 and "Slurm does not answer" in text, f"ended with {follower.returncode}: {text}")
+    try:
+        wait_until(lambda: "Slurm does not answer" in log.read_text(), "it is not said that slurmctld is away")
+    finally:
+        bench.slurm.start_controller()
+    code = follower.wait(timeout=180)
+    require(code == 0, f"it ended with {code}: {log.read_text()}")
     bench.require_done(SWEEP)
 
 
@@ -325,7 +334,7 @@ def real_time_limit(bench):
     bench.right(work)
     bench.submit(work, "limit", profile="limit")
     bench.wait_until_over(900)
-    bench.require_done(work, "before its time limit")
+    bench.require_done(work, "as before a time limit")
 
 
 def learned(bench):

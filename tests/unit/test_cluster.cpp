@@ -131,6 +131,7 @@ class TaskScript {
   explicit TaskScript(const std::string& weft) {
     executable("bin/weft", weft);
     executable("bin/scontrol", "echo scontrol \"$@\" >>" + (folder_ / "calls").string() + "; exit 0\n");
+    executable("bin/squeue", "echo ${STATE-RUNNING}\n");
     executable("bin/scancel", "echo scancel \"$@\" >>" + (folder_ / "calls").string() + "\n");
     executable("bin/sleep", "exit 0\n");
     ClusterChoice choice;
@@ -179,6 +180,11 @@ TEST(TaskScript, PassesTheSignalOnAndGoesBackToTheQueue) {
   EXPECT_THAT(outcome.output, HasSubstr("stopping"));
   EXPECT_THAT(stopped.calls(), HasSubstr("scontrol requeue 12_3\n"));
   EXPECT_THAT(stopped.record(), HasSubstr("ended code=75 stops=1 node=n2\nrequeued node=n2\n"));
+  // scancel sends the same signal.
+  const TaskScript cancelled("exit 75\n");
+  EXPECT_EQ(cancelled.run("STATE=COMPLETING").code, 75);
+  EXPECT_THAT(cancelled.calls(), IsEmpty());
+  EXPECT_THAT(cancelled.record(), Not(HasSubstr("requeued")));
   const TaskScript tired("exit 75\n");
   EXPECT_EQ(tired.run("SLURM_RESTART_COUNT=2").code, 1);
   EXPECT_THAT(tired.calls(), IsEmpty());
@@ -276,11 +282,16 @@ TEST_F(JobStatesTest, RememberWhatSlurmForgets) {
 TEST_F(JobStatesTest, TasksThatWereNotNeededHaveNotFailed) {
   cells(8);
   record("12_1", "began restart=0 node=n1\nended code=0 stops=0 node=n1\n");
+  record("12_2", "began restart=0 node=n2\n");  // its node failed, and it waited when all was done
+  record("12_3", "began restart=0 node=n3\n");  // its script was killed
   folder_.write("out/slurm/ablate/tasks/12.all-done", "");
   const auto states =
-      job_states(submission_, parse_squeue("12_2|a|CANCELLED||None\n12_3|a|CANCELLED||None\n12_4|a|CANCELLED||None\n"));
-  EXPECT_EQ(states.failed, 0);
-  EXPECT_THAT(states.troubles, Not(testing::Contains(HasSubstr("task "))));
+      job_states(submission_, parse_squeue("12_2|a|CANCELLED||None\n12_3|a|FAILED|n3|RaisedSignal:9(Killed)\n"
+                                           "12_4|a|CANCELLED||None\n"));
+  EXPECT_THAT(states.troubles, testing::Contains("task 3 failed on n3: it failed (RaisedSignal:9(Killed))"));
+  EXPECT_EQ(states.failed, 1);
+  EXPECT_EQ(states.ended, 3);
+  EXPECT_THAT(states.notes, ElementsAre("task 2 ended without a word on n2; the others did its work"));
 }
 
 TEST(Submission, IsReadAsItWasSaved) {

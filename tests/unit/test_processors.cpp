@@ -83,10 +83,11 @@ TEST(Processors, AffinityLimitsThem) {
       .join();
 }
 
+using Values = std::map<std::string, std::string>;
 /// Sets variables of Slurm's; they are gone after the test.
 class SlurmVariables {
  public:
-  explicit SlurmVariables(const std::map<std::string, std::string>& values) {
+  explicit SlurmVariables(const Values& values) {
     for (const char* name : kNames) unsetenv(name);
     for (const auto& [name, value] : values) setenv(name.c_str(), value.c_str(), 1);
   }
@@ -103,33 +104,34 @@ class SlurmVariables {
 
 TEST(Processors, OfATaskOfSlurmAreThoseThatItAskedFor) {
   {
-    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_PER_TASK", "1"}, {"SLURM_CPUS_ON_NODE", "64"}});
+    const SlurmVariables task(
+        Values{{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_PER_TASK", "1"}, {"SLURM_CPUS_ON_NODE", "64"}});
     EXPECT_EQ(processors_of_slurm(), 1);
     EXPECT_EQ(allowed_processors(), 1);
   }
   {
-    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_ON_NODE", "5"}});
+    const SlurmVariables task(Values{{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_ON_NODE", "5"}});
     EXPECT_EQ(processors_of_slurm(), 5);
   }
   {
-    const SlurmVariables no_job({{"SLURM_CPUS_PER_TASK", "1"}});  // left in a shell
+    const SlurmVariables no_job(Values{{"SLURM_CPUS_PER_TASK", "1"}});  // left in a shell
     EXPECT_EQ(processors_of_slurm(), std::nullopt);
   }
-  const SlurmVariables odd({{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_PER_TASK", "-3"}, {"SLURM_CPUS_ON_NODE", "2x"}});
+  const SlurmVariables odd(Values{{"SLURM_JOB_ID", "7"}, {"SLURM_CPUS_PER_TASK", "-3"}, {"SLURM_CPUS_ON_NODE", "2x"}});
   EXPECT_EQ(processors_of_slurm(), std::nullopt);
   EXPECT_GE(allowed_processors(), 1);
 }
 
 TEST(Processors, MemoryOfATaskOfSlurm) {
   {
-    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_NODE", "2048"}});
+    const SlurmVariables task(Values{{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_NODE", "2048"}});
     EXPECT_EQ(memory_of_slurm_mb(), 2048);
   }
   {
-    const SlurmVariables task({{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_CPU", "512"}, {"SLURM_CPUS_ON_NODE", "4"}});
+    const SlurmVariables task(Values{{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_CPU", "512"}, {"SLURM_CPUS_ON_NODE", "4"}});
     EXPECT_EQ(memory_of_slurm_mb(), 2048);
   }
-  const SlurmVariables none({{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_NODE", "0"}});  // 0: all of the node's
+  const SlurmVariables none(Values{{"SLURM_JOB_ID", "7"}, {"SLURM_MEM_PER_NODE", "0"}});  // 0: all of the node's
   EXPECT_EQ(memory_of_slurm_mb(), std::nullopt);
 }
 
