@@ -114,17 +114,27 @@ WorkFailure failure_of(const Example& example) {
   return {WorkStatus::diverged, example.failure};
 }
 
+namespace {
+
+/// The highest number of a file in [0, files); -1 without one. When it was begun all others were full.
+std::int64_t last_shard(const fs::path& folder, std::int64_t files) {
+  std::int64_t last = files - 1;
+  while (last >= 0 && !fs::exists(folder / shard_name(last))) --last;
+  return last;
+}
+
+std::int64_t files_of(const DataParams& params, std::int64_t examples) {
+  return (examples + params.shard_examples - 1) / params.shard_examples;
+}
+
+}  // namespace
+
 std::int64_t files_left(const DataParams& params, std::int64_t examples, const fs::path& folder) {
-  std::int64_t left = 0, last = -1;
-  const std::int64_t files = (examples + params.shard_examples - 1) / params.shard_examples;
-  for (std::int64_t number = 0; number < files; ++number) {
-    if (fs::exists(folder / shard_name(number)))
-      last = number;
-    else
-      ++left;
-  }
+  const std::int64_t files = files_of(params, examples), last = last_shard(folder, files);
+  std::int64_t left = files - 1 - last;
+  for (std::int64_t number = 0; number < last; ++number)
+    if (!fs::exists(folder / shard_name(number))) ++left;
   if (last < 0) return left;
-  // All others were full when this one was begun.
   const std::int64_t wanted = std::min(params.shard_examples, examples - last * params.shard_examples);
   try {
     if (std::cmp_less(read_shard(folder / shard_name(last)).examples.size(), wanted)) ++left;
@@ -189,6 +199,7 @@ namespace {
 /// The examples [first, end) of one file.
 struct ShardRange {
   std::int64_t number = 0, first = 0, end = 0;
+  bool was_there = false;  ///< when this process began, but not complete
   std::int64_t count() const { return end - first; }
 };
 
@@ -241,11 +252,15 @@ class Production {
         slowest_(options.cell_limit_s),
         claims_(options.folder / "claims"),
         leftovers_(options.folder) {
-    for (std::int64_t number = 0; number * params.shard_examples < options.examples; ++number) {
+    const std::int64_t files = files_of(params, options.examples), last = last_shard(options.folder, files);
+    for (std::int64_t number = 0; number < files; ++number) {
       if (number % options.shard_count != options.shard_index) continue;
       ++report_.files;
+      const bool is_there = fs::exists(options.folder / shard_name(number));
+      // Whoever does the rest reads what is there. A share does not: many processes would all read everything.
+      if (is_there && reads_nothing() && number != last) continue;
       const auto first = number * params.shard_examples;
-      ShardRange range{number, first, std::min(options.examples, first + params.shard_examples)};
+      ShardRange range{number, first, std::min(options.examples, first + params.shard_examples), is_there};
       auto kept = look(range);
       if (std::cmp_equal(kept.size(), range.count()))
         keep(kept);
@@ -301,6 +316,7 @@ class Production {
     std::int64_t index;
   };
 
+  bool reads_nothing() const { return options_.is_share && options_.retry == Retry::none; }
   double elapsed() const { return std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count(); }
   bool over() const { return stopping_ || host_.cancelled(); }
 
@@ -345,6 +361,10 @@ class Production {
     for (std::size_t i = 0; i < missing_.size();) {
       ShardRange range = missing_[i];
       const std::string name = shard_name(range.number);
+      if (reads_nothing() && !range.was_there && fs::exists(options_.folder / name)) {  // another process has made it
+        missing_.erase(missing_.begin() + static_cast<std::ptrdiff_t>(i));
+        continue;
+      }
       if (!claims_.take(name)) {
         ++i;
         continue;

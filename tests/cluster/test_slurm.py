@@ -117,7 +117,7 @@ class Bench:
             folder = self.folder / f"right{len(self._right)}"
             folder.mkdir()
             for one in self.folder.iterdir():
-                if one.suffix == ".yaml" or one.name in ("data", "model"):
+                if (one.suffix == ".yaml" or one.name in ("data", "model")) and one != self.out:
                     (folder / one.name).symlink_to(one)
             name = self.out.name if file else "out"
             one = subprocess.run([self.weft, *arguments.split(), "--out", name + file, "--jobs", "2", "--quiet"], cwd=folder,
@@ -384,7 +384,7 @@ def main():
             except Failed as problem:
                 failed += 1
                 print(f"{scenario.__name__}: FAILED ({time.monotonic() - started:.0f} s): {problem}", flush=True)
-            except Exception:  # a scenario that breaks must not hide the others
+            except Exception:  # one that breaks must not hide the others
                 failed += 1
                 print(f"{scenario.__name__}: BROKE ({time.monotonic() - started:.0f} s)\n{traceback.format_exc()}", flush=True)
             slurm.cancel_all()

@@ -68,7 +68,8 @@ def main():
         return 1
     finally:
         if not options.keep:
-            shutil.rmtree(folder, ignore_errors=True)
+            # What is still mounted in it stays.
+            subprocess.run(["rm", "-rf", "--one-file-system", str(folder)], check=False)
     print("every package was installed")
     return 0
 
