@@ -4,6 +4,7 @@ It needs root, since slurmd starts the jobs of any user. Nothing of the machine'
 and its processes are ended by their ids.
 """
 
+import ctypes
 import os
 import secrets
 import shutil
@@ -14,6 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
+PRCTL, PR_SET_PDEATHSIG = ctypes.CDLL(None).prctl, 1
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol", "scancel")
 CONFIG = """ClusterName=weft
 SlurmctldHost={host}(127.0.0.1)
@@ -156,9 +158,10 @@ class Slurm:
         self.wait_for_nodes()
 
     def _popen(self, *words):
-        # A session of its own: ^C in the terminal does not reach it.
+        # A session of its own: ^C in the terminal does not reach it. It ends when this program is killed.
         return subprocess.Popen(words, env=self.environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                                stderr=subprocess.DEVNULL, start_new_session=True)
+                                stderr=subprocess.DEVNULL, start_new_session=True,
+                                preexec_fn=lambda: PRCTL(PR_SET_PDEATHSIG, signal.SIGKILL))
 
     def _until(self, condition, seconds, problem):
         end = time.monotonic() + seconds

@@ -85,7 +85,7 @@ class Bench:
         return self.record(arguments)
 
     def record(self, arguments):
-        label = "-".join(word for word in arguments.split()[:2] if not word.endswith(".yaml"))
+        label = "-".join(word for word in arguments.split()[:2] if not word.endswith(".yaml"))  # evaluate-physics
         record = json.loads(next((self.out / "slurm").glob(f"{label}*/submission.json")).read_text())
         return record["array"], record["merge"]
 
@@ -280,6 +280,18 @@ def no_room(bench):
         bench.slurm.wait_for_nodes()
 
 
+def too_little_memory(bench):
+    """Cells that need more memory than their task has count as lost; with enough of it the same command does them again."""
+    bench.profile("small", memory_mb=1)
+    bench.submit(SWEEP, "memory", profile="small")
+    status = bench.wait_until_over()
+    table = (bench.out / "ablation.csv").read_text()
+    require(not status["is_done"] and "there was not enough memory" in table, f"{status}: {table}")
+    require("the merge failed" in bench.run(f"status {bench.out}", code=1), "the failure is not said")
+    bench.submit(f"{SWEEP} --retry-failed", "memory")
+    bench.require_done(SWEEP)
+
+
 def cancelled(bench):
     """Cancelled in the middle; another command is refused meanwhile; the same command submits only what is left."""
     bench.submit(SWEEP, "cancelled")
@@ -329,7 +341,7 @@ def physics(bench):
 def real_time_limit(bench):
     """A task that needs several times its time limit."""
     bench.profile("limit", tasks=1, time_limit_min=1, grace_s=45, cpus=1)
-    (bench.folder / "long.yaml").write_text(fault_kit.ablation(60))
+    (bench.folder / "long.yaml").write_text(fault_kit.ablation(25))
     work = "ablate long.yaml"
     bench.right(work)
     bench.submit(work, "limit", profile="limit")
@@ -355,7 +367,7 @@ def learned(bench):
 
 
 SCENARIOS = [refusals, plain, node_killed, killed_and_requeued, asked_to_end, never_starts, controller_restarted, no_room,
-             cancelled, generated, physics]
+             cancelled, too_little_memory, generated, physics]
 LONGER = [real_time_limit, learned]
 
 
@@ -372,6 +384,7 @@ def main():
     chosen = [one for one in SCENARIOS + LONGER if (one.__name__ in options.only if options.only else
                                                     options.all or one in SCENARIOS)]
     failed = 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # the cluster ends with this
     with Slurm() as slurm:
         work = slurm.folder / "work"
         work.mkdir()

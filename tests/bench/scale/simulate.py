@@ -41,7 +41,7 @@ class Plan:
     cores: int
     cores_per_task: int
     cores_per_node: int = 50
-    processors: int = 0  # that all tasks share; 0: as many as cores
+    processors: float = 0  # that all tasks share; 0: as many as cores
 
 
 class Server:
@@ -118,7 +118,7 @@ def main():
     parser.add_argument("--cores", type=int, nargs="+", default=[10, 100, 1000, 3000, 10000])
     parser.add_argument("--shards", type=int, nargs="+", default=[16, 64, 256, 1024, 4096], help="examples of a file")
     parser.add_argument("--cores-per-task", type=int, nargs="+", default=[4])
-    parser.add_argument("--processors", type=int, default=0, help="that all tasks share; 0: as many as cores")
+    parser.add_argument("--processors", type=float, default=0, help="that all tasks share; 0: as many as cores")
     parser.add_argument("--seed", type=int, default=1)
     for field in fields(Costs):
         parser.add_argument("--" + field.name.replace("_", "-"), type=float, default=field.default)
