@@ -1,12 +1,15 @@
+#include <atomic>
 #include <cstdio>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <set>
+#include <thread>
 
 #include "commands.hpp"
 #include "identity/identity.hpp"
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
+#include "loader/processors.hpp"
 #include "options.hpp"
 #include "sdk/json_text.hpp"
 #include "weft/dataset.hpp"
@@ -92,28 +95,59 @@ int info(const Context& context, const std::string& folder) {
   return 0;
 }
 
+/// What a check found of one file.
+struct CheckedFile {
+  std::string problem, identity;
+  std::vector<std::int64_t> examples;  ///< their numbers
+};
+
+CheckedFile check_file(const fs::path& file) {
+  CheckedFile found;
+  try {
+    const Shard shard = read_shard(file);
+    found.identity = shard.header.identity;
+    for (const auto& e : shard.examples) found.examples.push_back(e.index);
+  } catch (const std::exception& error) {
+    found.problem = error.what();
+  }
+  return found;
+}
+
+/// Reads the files on several threads. @return what was found, in the order of the files.
+std::vector<CheckedFile> check_files(const std::vector<fs::path>& files, std::size_t threads) {
+  std::vector<CheckedFile> found(files.size());
+  std::atomic<std::size_t> next = 0;
+  const auto work = [&] {
+    for (std::size_t i = next++; i < files.size(); i = next++) found[i] = check_file(files[i]);
+  };
+  std::vector<std::jthread> others;
+  while (others.size() + 1 < std::min(threads, files.size())) others.emplace_back(work);
+  work();
+  others.clear();
+  return found;
+}
+
 int check(const Context& context, const std::string& folder) {
   const auto files = list_shards(folder);
   if (files.empty()) throw ConfigError(folder + ": holds no dataset (no shard-*.h5)");
+  const auto found =
+      check_files(files, static_cast<std::size_t>(context.jobs > 0 ? context.jobs : allowed_processors()));
   std::int64_t bad = 0, examples = 0;
   std::string identity;
   std::set<std::int64_t> seen;
   auto problems = ordered_json::array();
-  for (const auto& file : files) {
-    std::string problem;
-    try {
-      const Shard shard = read_shard(file);
-      if (identity.empty()) identity = shard.header.identity;
-      if (shard.header.identity != identity)
-        problem = file.string() + ": belongs to another dataset than the first file";
-      for (const auto& e : shard.examples) {
-        ++examples;
-        if (!seen.insert(e.index).second)
-          problem = file.string() + ": example " + std::to_string(e.index) +
-                    " is also in another file; `weft dataset merge` removes duplicates";
-      }
-    } catch (const Error& error) {
-      problem = error.what();
+  for (std::size_t i = 0; i < files.size(); ++i) {
+    std::string problem = found[i].problem;
+    if (problem.empty()) {
+      if (identity.empty()) identity = found[i].identity;
+      if (found[i].identity != identity)
+        problem = files[i].string() + ": belongs to another dataset than the first file";
+    }
+    for (const std::int64_t index : found[i].examples) {
+      ++examples;
+      if (!seen.insert(index).second)
+        problem = files[i].string() + ": example " + std::to_string(index) +
+                  " is also in another file; `weft dataset merge` removes duplicates";
     }
     if (problem.empty()) continue;
     ++bad;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdio>
 #include <fstream>
 #include <iostream>
@@ -7,8 +8,10 @@
 #include "cluster_run.hpp"
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
+#include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "ranks.hpp"
 #include "report/times.hpp"
 #include "sdk/files.hpp"
 #include "weft/trainable.hpp"
@@ -63,8 +66,27 @@ std::string duration(double seconds) {
   return text;
 }
 
-int train(Context& context, const std::string& file, std::vector<std::string> folders, const ClusterOptions& cluster) {
+/// The arguments with which each of several ranks on this machine does what this process was asked to do.
+std::vector<std::string> arguments_of_rank(const Context& context, const std::string& file,
+                                           const std::vector<std::string>& folders, int threads) {
+  std::vector<std::string> arguments{"train", file, "--out", context.out, "--jobs", std::to_string(threads)};
+  for (const auto& folder : folders) arguments.insert(arguments.end(), {"--data", folder});
+  for (const auto& assignment : context.overrides) arguments.insert(arguments.end(), {"--set", assignment});
+  if (context.seed) arguments.insert(arguments.end(), {"--seed", std::to_string(*context.seed)});
+  if (context.accept_changed) arguments.emplace_back("--accept-changed");
+  if (context.json) arguments.emplace_back("--json");
+  return arguments;
+}
+
+int train(Context& context, const std::string& file, std::vector<std::string> folders, const ClusterOptions& cluster,
+          int wanted_ranks) {
   const fs::path model = model_file(context, "weft train");
+  const FitRanks ranks = ranks_of_process(model);
+  if (wanted_ranks > 1 && ranks.size > 1 && wanted_ranks != ranks.size) {
+    throw ConfigError("--ranks " + std::to_string(wanted_ranks) + ", but this is one of " + std::to_string(ranks.size) +
+                      " processes that were started as ranks");
+  }
+  if (ranks.rank > 0) context.quiet = true;  // rank 0 speaks for all
   const fs::path record = fs::path(model).replace_extension(".provenance.json");
   const fs::path checkpoint = fs::path(model).replace_extension(".checkpoint.h5");
   const bool is_used = fs::exists(model) || fs::exists(checkpoint);
@@ -82,6 +104,15 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
   if (folders.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
 
+  const TrainingCapabilities can = learner->training_capabilities();
+  if ((wanted_ranks > 1 || ranks.size > 1) && !can.ranks)
+    given.config.fail("predictor cannot be trained over ranks; start one process, or name {plugin: emd}");
+  if (wanted_ranks > 1 && ranks.size == 1 && !cluster.is_given()) {
+    return run_ranks(context,
+                     arguments_of_rank(context, file, folders, std::max(1, given.host->threads() / wanted_ranks)),
+                     wanted_ranks, [&] { return given.host->cancelled(); });
+  }
+
   const Identity identity = learning_identity(given, "train", folders);
   FitOptions options;
   options.seed = given.seed;
@@ -89,16 +120,20 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   options.checkpoint = checkpoint;
   options.provenance = given.provenance(identity);
   options.accept_changed = context.accept_changed;
+  options.ranks = ranks;
   if (is_used) require_identity(model.string(), earlier, identity, context.accept_changed);
   if (cluster.is_given())
     return run_on_cluster(context, cluster, work, [&] { write_planned_identity(work.results, work.label, identity); });
-  const Dataset dataset = read_datasets(context, folders, given.task);
+  const Dataset dataset =
+      read_datasets(context, folders, given.task, can.stored_shapes ? ShapesIn::files : ShapesIn::memory);
+  if (ranks.rank > 0) return learner->fit(dataset, given.task, options, {}).finished ? 0 : 1;
   const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
   make_writable_folder(out);
   char line[240];
-  std::snprintf(line, sizeof(line), "training on %zu examples of %s, %zu for validation, %d threads%s",
+  const std::string shared = ranks.size > 1 ? std::to_string(ranks.size) + " ranks, " : "";
+  std::snprintf(line, sizeof(line), "training on %zu examples of %s, %zu for validation, %s%d threads%s",
                 dataset.select(Split::train).size(), dataset.header.garment_name.c_str(),
-                dataset.select(Split::validation).size(), given.host->threads(),
+                dataset.select(Split::validation).size(), shared.c_str(), given.host->threads(),
                 fs::exists(options.checkpoint) ? ", from the checkpoint" : "");
   context.say(line);
   PlacedText placed(record, options.provenance);  // before the first checkpoint, which belongs to it
@@ -146,8 +181,13 @@ void register_train(CLI::App& app, Context& context) {
   command->add_option("--data", *data, "Folders of examples");
   auto cluster = std::make_shared<ClusterOptions>();
   add_cluster_options(*command, *cluster);
-  command->callback([&context, file, data, cluster] {
-    context.action = [&context, file, data, cluster] { return train(context, *file, *data, *cluster); };
+  auto ranks = std::make_shared<int>(1);
+  command
+      ->add_option("--ranks", *ranks,
+                   "Processes on this machine that share each batch; under mpirun or srun their number is known")
+      ->check(within(1, 256));
+  command->callback([&context, file, data, cluster, ranks] {
+    context.action = [&context, file, data, cluster, ranks] { return train(context, *file, *data, *cluster, *ranks); };
   });
 }
 

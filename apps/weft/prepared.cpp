@@ -4,7 +4,6 @@
 #include <set>
 
 #include "identity/sha256.hpp"
-#include "learning/dataset_files.hpp"
 #include "learning/held_out.hpp"
 #include "weft/config.hpp"
 #include "weft/trainable.hpp"
@@ -43,11 +42,12 @@ Identity learning_identity(const Prepared<ExperimentParams>& given, const std::s
                         {folders.begin(), folders.end()});
 }
 
-Dataset read_datasets(const Context& context, const std::vector<std::string>& folders, const Task& task) {
+Dataset read_datasets(const Context& context, const std::vector<std::string>& folders, const Task& task,
+                      ShapesIn shapes) {
   Dataset dataset;
   for (std::size_t i = 0; i < folders.size(); ++i) {
     context.say("reading " + folders[i]);
-    Dataset one = load_dataset(folders[i]);
+    Dataset one = load_dataset(folders[i], 0, shapes);
     one.require_task(task);
     if (i == 0)
       dataset = std::move(one);

@@ -5,6 +5,7 @@
 
 #include "context.hpp"
 #include "experiments/experiment_config.hpp"
+#include "learning/dataset_files.hpp"
 #include "output.hpp"
 #include "session/session.hpp"
 #include "weft/dataset.hpp"
@@ -66,7 +67,8 @@ Identity learning_identity(const Prepared<ExperimentParams>& given, const std::s
 std::filesystem::path model_file(const Context& context, const std::string& command);
 
 /// Reads datasets of one task, the first one first.
-Dataset read_datasets(const Context& context, const std::vector<std::string>& folders, const Task& task);
+Dataset read_datasets(const Context& context, const std::vector<std::string>& folders, const Task& task,
+                      ShapesIn shapes = ShapesIn::memory);
 
 /// Warns when this predictor was fitted or calibrated with examples of a split that should be fresh to it, or of `all`.
 void warn_unless_held_out(Predictor& predictor, const Dataset& dataset, const std::string& split, Host& host);

@@ -17,7 +17,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kSchema = "weft dataset 1";
+constexpr const char* kSchema = "weft dataset 2";
+constexpr const char* kFirstSchema = "weft dataset 1";  // compressed shapes, no checksum per example
 constexpr Index kMostSegments = 100000;
 
 std::string join(const std::vector<std::string>& words) {
@@ -43,6 +44,7 @@ std::vector<double> flat(const Controls& m) { return {m.data(), m.data() + m.siz
 /// All arrays of a shard as in the file: examples one after the other.
 struct Columns {
   std::vector<std::int64_t> index, segments, released, settled, settle_frames;
+  std::vector<std::int64_t> checksums;  ///< of each example; empty: schema 1
   std::vector<double> settle_speed, strain, q, controls, states, targets;
   std::vector<float> shapes;
   std::vector<std::string> failures;
@@ -53,6 +55,7 @@ struct Columns {
     for (const auto* v : {&settle_speed, &strain, &q, &controls, &states, &targets}) f.add_values(v->data(), v->size());
     f.add_values(shapes.data(), shapes.size());
     for (const auto& text : failures) f.add(text);
+    if (!checksums.empty()) f.add_values(checksums.data(), checksums.size());
     return f.hex();
   }
 };
@@ -72,8 +75,10 @@ Columns to_columns(const Shard& shard) {
     append(c.controls, flat(e.controls));
     append(c.states, flat(e.states));
     append(c.targets, flat(e.targets));
-    append(c.shapes, e.shapes);
+    const std::vector<float> shapes = e.read_shapes(shard.header.vertices);
+    append(c.shapes, shapes);
     c.failures.push_back(e.failure);
+    c.checksums.push_back(static_cast<std::int64_t>(e.checksum(shapes)));
   }
   return c;
 }
@@ -88,12 +93,6 @@ void require_same(const fs::path& file, const DatasetHeader& a, const DatasetHea
   const auto changes = identity_in(a.provenance, file.string()).changes_since(identity_in(b.provenance, file.string()));
   for (const auto& change : changes) text += "\n  " + change;
   refuse(file, changes.empty() ? text + " config, seed or garment differ" : text);
-}
-
-std::string example_fingerprint(const Example& e) {
-  Shard one;
-  one.examples.push_back(e);
-  return to_columns(one).checksum();
 }
 
 DatasetHeader read_header(const Hdf5File& file, const fs::path& path) {
@@ -167,6 +166,7 @@ Columns read_examples(const Hdf5File& file, const fs::path& path) {
   c.settle_speed = file.read("/examples/settle_speed", most);
   expect("/examples/max_grasp_strain", {n});
   c.strain = file.read("/examples/max_grasp_strain", most);
+  if (file.has("/examples/checksum")) c.checksums = ints("/examples/checksum");
   expect("/examples/q", {n, 4});
   c.q = file.read("/examples/q", most);
   for (Index i = 0; i < n; ++i) {
@@ -183,7 +183,7 @@ Columns read_examples(const Hdf5File& file, const fs::path& path) {
   return c;
 }
 
-Columns read_columns(const Hdf5File& file, const fs::path& path, const DatasetHeader& h) {
+Columns read_columns(const Hdf5File& file, const fs::path& path, const DatasetHeader& h, bool has_shapes) {
   Columns c = read_examples(file, path);
   Index segments = 0, shapes = 0;
   for (const Index k : c.segments) {
@@ -200,7 +200,7 @@ Columns read_columns(const Hdf5File& file, const fs::path& path, const DatasetHe
   c.controls = file.read("/controls");
   c.states = file.read("/states");
   c.targets = file.read("/targets");
-  c.shapes = file.read_float("/shapes");
+  if (has_shapes) c.shapes = file.read_float("/shapes");
   const auto finite = [](const auto& v) {
     return std::all_of(v.begin(), v.end(), [](auto x) { return std::isfinite(x); });
   };
@@ -211,7 +211,8 @@ Columns read_columns(const Hdf5File& file, const fs::path& path, const DatasetHe
   return c;
 }
 
-std::vector<Example> to_examples(const Columns& c, const DatasetHeader& h) {
+/// @param stored where the shapes lie that the columns do not hold, in all.
+std::vector<Example> to_examples(const Columns& c, const DatasetHeader& h, const StoredShapes& stored) {
   std::vector<Example> examples;
   std::size_t segment = 0, shape = 0;
   for (std::size_t i = 0; i < c.index.size(); ++i) {
@@ -232,8 +233,13 @@ std::vector<Example> to_examples(const Columns& c, const DatasetHeader& h) {
     e.states = block(c.states, shape, rows, h.states);
     e.targets = block(c.targets, shape, rows, 3 * h.hands);
     const auto width = static_cast<std::size_t>(h.vertices) * 3;
-    e.shapes.assign(c.shapes.begin() + static_cast<std::ptrdiff_t>(shape * width),
-                    c.shapes.begin() + static_cast<std::ptrdiff_t>((shape + static_cast<std::size_t>(rows)) * width));
+    const std::size_t first = shape * width, end = first + static_cast<std::size_t>(rows) * width;
+    if (stored.file != nullptr) {
+      e.stored = {stored.file, stored.at + first * sizeof(float), static_cast<std::uint64_t>(c.checksums[i])};
+    } else {
+      e.shapes.assign(c.shapes.begin() + static_cast<std::ptrdiff_t>(first),
+                      c.shapes.begin() + static_cast<std::ptrdiff_t>(end));
+    }
     segment += static_cast<std::size_t>(k);
     shape += static_cast<std::size_t>(rows);
     examples.push_back(std::move(e));
@@ -268,6 +274,7 @@ void write_shard(const fs::path& path, const Shard& shard) {
   ints("/examples/released", c.released);
   ints("/examples/settled", c.settled);
   ints("/examples/settle_frames", c.settle_frames);
+  ints("/examples/checksum", c.checksums);
   file.write("/examples/settle_speed", {n}, c.settle_speed.data());
   file.write("/examples/max_grasp_strain", {n}, c.strain.data());
   file.write("/examples/q", {n, 4}, c.q.data());
@@ -279,7 +286,7 @@ void write_shard(const fs::path& path, const Shard& shard) {
   file.write("/controls", {segments, h.controls}, c.controls.data());
   file.write("/states", {shapes, h.states}, c.states.data());
   file.write("/targets", {shapes, 3 * h.hands}, c.targets.data());
-  file.write("/shapes", {shapes, h.vertices, 3}, c.shapes.data());
+  file.write_plain("/shapes", {shapes, h.vertices, 3}, c.shapes.data());
   for (const auto& e : shard.examples) {
     if (e.failed()) file.write("/failures/" + std::to_string(e.index), e.failure);
   }
@@ -291,8 +298,8 @@ namespace {
 Hdf5File open_shard(const fs::path& path) {
   auto file = Hdf5File::open(path);
   if (!file.has("/schema")) refuse(path, "is not a weft dataset");
-  if (const auto schema = file.read_text("/schema"); schema != kSchema) {
-    refuse(path, "has the schema '" + schema + "', this program reads '" + kSchema + "'");
+  if (const auto schema = file.read_text("/schema"); schema != kSchema && schema != kFirstSchema) {
+    refuse(path, "has the schema '" + schema + "', this program reads '" + kFirstSchema + "' and '" + kSchema + "'");
   }
   return file;
 }
@@ -301,14 +308,20 @@ Hdf5File open_shard(const fs::path& path) {
 
 DatasetHeader read_shard_header(const fs::path& path) { return read_header(open_shard(path), path); }
 
-Shard read_shard(const fs::path& path) {
+Shard read_shard(const fs::path& path, ShapesIn shapes) {
   const auto file = open_shard(path);
   Shard shard;
   shard.header = read_header(file, path);
-  const Columns columns = read_columns(file, path, shard.header);
-  if (const auto got = columns.checksum(), recorded = file.read_text("/checksum"); got != recorded)
+  StoredShapes stored;
+  if (shapes == ShapesIn::files && file.has("/examples/checksum")) {
+    if (const auto at = file.place("/shapes")) stored = {std::make_shared<const fs::path>(fs::absolute(path)), *at};
+  }
+  const bool is_whole = stored.file == nullptr;
+  const Columns columns = read_columns(file, path, shard.header, is_whole);
+  const std::string recorded = file.read_text("/checksum");
+  if (const auto got = columns.checksum(); is_whole && got != recorded)
     refuse(path, "is damaged: its content has the checksum " + got + ", not the recorded checksum " + recorded);
-  shard.examples = to_examples(columns, shard.header);
+  shard.examples = to_examples(columns, shard.header, stored);
   return shard;
 }
 
@@ -329,14 +342,14 @@ std::vector<fs::path> list_shards(const fs::path& folder) {
   return files;
 }
 
-Dataset load_dataset(const fs::path& folder, std::size_t max_examples) {
+Dataset load_dataset(const fs::path& folder, std::size_t max_examples, ShapesIn shapes) {
   Dataset dataset;
   const auto files = list_shards(folder);
   if (files.empty()) refuse(folder, "holds no dataset (no shard-*.h5)");
   std::set<std::string> identities;
   for (const auto& file : files) {
     if (max_examples > 0 && dataset.examples.size() >= max_examples) break;
-    Shard shard = read_shard(file);
+    Shard shard = read_shard(file, shapes);
     if (dataset.examples.empty()) dataset.header = shard.header;
     require_same(file, shard.header, dataset.header);
     identities.insert(identity_in(shard.header.provenance, file.string()).hash());
@@ -451,7 +464,7 @@ std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& t
         if (found == examples.end()) {
           if (examples.empty()) merged.header = shard.header;
           examples.emplace(e.index, std::move(e));
-        } else if (example_fingerprint(found->second) != example_fingerprint(e)) {
+        } else if (found->second.checksum(found->second.shapes) != e.checksum(e.shapes)) {
           refuse(source,
                  "example " + std::to_string(e.index) + " differs from the one of the same number in another folder");
         }

@@ -13,10 +13,16 @@ struct Shard {
   DatasetHeader header;
   std::vector<Example> examples;
 };
+enum class ShapesIn {
+  memory,
+  files  ///< where a shard's layout allows it (schema 2): an example is read, and its checksum compared, when it is used
+};
+
 /// The file is whole or absent. Its bytes depend on the content alone.
 void write_shard(const std::filesystem::path& file, const Shard& shard);
-/// Checks schema, shapes, finite numbers and the checksum of the content. @throws ConfigError naming file and reason.
-Shard read_shard(const std::filesystem::path& file);
+/// Checks schema, shapes, finite numbers and, with all shapes in memory, the checksum of the content.
+/// @throws ConfigError naming file and reason.
+Shard read_shard(const std::filesystem::path& file, ShapesIn shapes = ShapesIn::memory);
 /// The header alone. @throws ConfigError naming file and reason.
 DatasetHeader read_shard_header(const std::filesystem::path& file);
 /// "shard-00012.h5"
@@ -28,7 +34,8 @@ std::vector<std::filesystem::path> list_shards(const std::filesystem::path& fold
 /// --accept-changed`), the dataset gets an identity of its own.
 /// @param max_examples stop after this many; 0: all.
 /// @throws ConfigError for a damaged shard, shards of different datasets, or a folder without shards.
-Dataset load_dataset(const std::filesystem::path& folder, std::size_t max_examples = 0);
+Dataset load_dataset(const std::filesystem::path& folder, std::size_t max_examples = 0,
+                     ShapesIn shapes = ShapesIn::memory);
 /// Adds the examples of another dataset of the same task, with another distribution or seed. Examples keep their split.
 /// @throws ConfigError if garment, trajectory, hands or the shares of the splits differ, or for the same dataset twice.
 void append_dataset(Dataset& dataset, Dataset other);

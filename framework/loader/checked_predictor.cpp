@@ -136,6 +136,9 @@ class CheckedTrainable final : public TrainablePredictor {
  public:
   CheckedTrainable(const Guard& guard, TrainablePredictor& plugin) : guard_(guard), plugin_(plugin) {}
 
+  TrainingCapabilities training_capabilities() const override {
+    return guard_.call("training_capabilities()", [&] { return plugin_.training_capabilities(); });
+  }
   FitReport fit(const Dataset& dataset, const Task& task, const FitOptions& options,
                 const FitObserver& observer) override {
     const FitObserver watching = [&](const FitProgress& progress) {

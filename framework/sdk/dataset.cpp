@@ -1,7 +1,13 @@
 #include "weft/dataset.hpp"
 
-#include <algorithm>
+#include <fcntl.h>
+#include <unistd.h>
 
+#include <algorithm>
+#include <cerrno>
+#include <cstring>
+
+#include "sdk/fingerprint.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
@@ -34,6 +40,47 @@ Split DatasetOrigin::split(std::int64_t index) const {
   return u < test_fraction + validation_fraction ? Split::validation : Split::train;
 }
 
+std::uint64_t Example::checksum(const std::vector<float>& shapes_of_it) const {
+  Fingerprint f;
+  const auto add = [&f](const auto& matrix) { f.add_values(matrix.data(), static_cast<std::size_t>(matrix.size())); };
+  const std::int64_t numbers[] = {index, segments(), released, settle.settled, settle.frames};
+  f.add_values(numbers, std::size(numbers));
+  const double measured[] = {settle.max_speed, max_grasp_strain};
+  f.add_values(measured, std::size(measured));
+  add(q);
+  add(controls);
+  add(states);
+  add(targets);
+  add(shapes_of_it);
+  f.add(failure);
+  return f.value();
+}
+
+std::vector<float> Example::read_shapes(Index vertices) const {
+  if (stored.file == nullptr) return shapes;
+  const auto refuse = [this](const std::string& reason) {
+    throw ConfigError(stored.file->string() + ": example " + std::to_string(index) + " " + reason);
+  };
+  std::vector<float> read(static_cast<std::size_t>(failed() ? 0 : (segments() + 1) * vertices * 3));
+  const int file = ::open(stored.file->c_str(), O_RDONLY | O_CLOEXEC);
+  if (file < 0) refuse(std::string("cannot be read: ") + std::strerror(errno));
+  std::size_t done = 0;
+  const std::size_t bytes = read.size() * sizeof(float);
+  std::string problem;
+  while (done < bytes && problem.empty()) {
+    const ::ssize_t got = ::pread(file, reinterpret_cast<char*>(read.data()) + done, bytes - done,
+                                  static_cast<::off_t>(stored.at + done));
+    if (got < 0 && errno == EINTR) continue;
+    if (got < 0) problem = std::string("cannot be read: ") + std::strerror(errno);
+    if (got == 0) problem = "is missing: the file was cut short";
+    if (got > 0) done += static_cast<std::size_t>(got);
+  }
+  ::close(file);
+  if (!problem.empty()) refuse(problem);
+  if (checksum(read) != stored.checksum) refuse("is damaged: it does not have its recorded checksum");
+  return read;
+}
+
 std::size_t Dataset::source(std::size_t example) const {
   if (begins.empty()) return 0;
   return static_cast<std::size_t>(std::upper_bound(begins.begin(), begins.end(), example) - begins.begin()) - 1;
@@ -53,7 +100,9 @@ Positions Dataset::shape(std::size_t example, Index segment) const {
     throw ShapeError("example " + std::to_string(e.index) + " has no shape after segment " + std::to_string(segment));
   }
   using Single = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
-  return Eigen::Map<const Single>(e.shapes.data() + segment * header.vertices * 3, header.vertices, 3).cast<double>();
+  const std::vector<float> read = e.stored.file != nullptr ? e.read_shapes(header.vertices) : std::vector<float>();
+  const float* shapes = e.stored.file != nullptr ? read.data() : e.shapes.data();
+  return Eigen::Map<const Single>(shapes + segment * header.vertices * 3, header.vertices, 3).cast<double>();
 }
 
 void Dataset::require_task(const Task& task) const {

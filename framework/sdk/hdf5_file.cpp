@@ -200,7 +200,7 @@ struct Hdf5File::Impl {
     throw Error(file.string() + ": " + path + " cannot be written: " + failure);
   }
   void write(const std::string& path, const std::vector<Index>& dims, hid_t type, std::size_t size, const void* data,
-             hid_t stored = -1) {
+             hid_t stored = -1, bool is_plain = false) {
     const Lock lock(library_mutex());
     std::vector<hsize_t> extent(dims.begin(), dims.end());
     hsize_t count = 1;
@@ -210,7 +210,7 @@ struct Hdf5File::Impl {
     H5Pset_create_intermediate_group(links, 1);
     const Handle options(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
     H5Pset_obj_track_times(options, false);  // same content, same bytes
-    if (count * size > 4096 && !extent.empty()) {
+    if (count * size > 4096 && !extent.empty() && !is_plain) {
       auto chunk = extent;
       const hsize_t row = std::max<hsize_t>(1, count / extent[0]) * size;
       chunk[0] = std::clamp<hsize_t>(kChunkBytes / row, 1, extent[0]);
@@ -265,6 +265,10 @@ void Hdf5File::write(const std::string& path, const std::vector<Index>& shape, c
 }
 void Hdf5File::write(const std::string& path, const std::vector<Index>& shape, const std::int64_t* data) {
   impl_->write(path, shape, H5T_NATIVE_INT64, sizeof(std::int64_t), data);
+}
+
+void Hdf5File::write_plain(const std::string& path, const std::vector<Index>& shape, const float* data) {
+  impl_->write(path, shape, H5T_NATIVE_FLOAT, sizeof(float), data, -1, true);
 }
 
 void Hdf5File::write_half(const std::string& path, const std::vector<Index>& shape, const float* data) {
@@ -333,6 +337,21 @@ std::vector<Index> Hdf5File::shape(const std::string& path) const {
   const Lock lock(library_mutex());
   const Handle set(impl_->open_dataset(path), H5Dclose);
   return impl_->shape(set, path);
+}
+
+std::optional<std::uint64_t> Hdf5File::place(const std::string& path) const {
+  const Lock lock(library_mutex());
+  const Handle set(impl_->open_dataset(path), H5Dclose);
+  const Handle type(H5Dget_type(set), H5Tclose);
+  const Handle options(H5Dget_create_plist(set), H5Pclose);
+  if (H5Pget_layout(options) != H5D_CONTIGUOUS || H5Pget_external_count(options) > 0) return std::nullopt;
+  if (H5Tequal(type, H5T_NATIVE_FLOAT) <= 0) return std::nullopt;
+  const haddr_t at = H5Dget_offset(set);
+  if (at == HADDR_UNDEF) return std::nullopt;
+  hsize_t bytes = sizeof(float);
+  for (const Index n : impl_->shape(set, path)) bytes *= static_cast<hsize_t>(n);
+  impl_->require_stored(set, path, bytes);
+  return at;
 }
 
 std::vector<double> Hdf5File::read(const std::string& path, std::size_t max_elements) const {

@@ -201,6 +201,76 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   EXPECT_LT(summary.at("error_mm").get<double>(), 0.6 * summary.at("default_error_mm").get<double>());
 }
 
+#if WEFT_HAS_TORCH && WEFT_HAS_GLOO
+/// A small dataset, and a fit to compare with.
+class Ranks : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    const Outcome made = weft_command("generate '" + kConfig + "' --quiet --examples 40 --out " + quoted(data_));
+    ASSERT_EQ(made.code, 0) << made.output;
+  }
+  /// Arguments of the program.
+  std::string train(const std::string& name) const {
+    return "train '" + kConfig + "' --jobs 1 --data " + quoted(data_) + " --set predictor.params.training.parts=4" +
+           " --set predictor.params.training.iterations=" + std::to_string(iterations_) +
+           " --set predictor.params.training.evaluate_every=20 --out " + quoted(model(name));
+  }
+  std::filesystem::path model(const std::string& name) const { return folder_ / name / "model.h5"; }
+  void expect_equal(const std::string& name, const Outcome& outcome) const {
+    EXPECT_EQ(outcome.code, 0) << outcome.output;
+    EXPECT_TRUE(bytes_of(model(name)) == bytes_of(model("alone"))) << name << ": not the same bytes";
+    EXPECT_TRUE(bytes_of(folder_ / name / "training.json") == bytes_of(folder_ / "alone/training.json"));
+    EXPECT_FALSE(std::filesystem::exists(folder_ / name / "model.checkpoint.h5"));
+  }
+
+  const Folder folder_;
+  const std::filesystem::path data_ = folder_ / "data";
+  int iterations_ = 40;
+};
+
+TEST_F(Ranks, OnOneMachineAndUnderLaunchersGiveTheBytesOfOneProcess) {
+  ASSERT_EQ(weft_command(train("alone")).code, 0);
+  const Outcome four = weft_command(train("four") + " --ranks 4");
+  expect_equal("four", four);
+  EXPECT_THAT(four.output, HasSubstr("4 ranks"));
+  const Outcome wrong = weft_command(train("wrong") + " --ranks 3");
+  EXPECT_EQ(wrong.code, 2);
+  EXPECT_THAT(wrong.output, HasSubstr("training.parts = 4, must be a multiple of the number of ranks, 3"));
+
+  // As srun sets its variables, on two nodes: not over loopback, where there is another interface.
+  std::string started =
+      "unset WEFT_PLUGIN_PATH; export SLURM_JOB_ID=7 SLURM_STEP_ID=0 SLURM_STEP_NUM_TASKS=2 "
+      "SLURM_STEP_NUM_NODES=2; SLURM_PROCID=1 '" WEFT_PROGRAM "' " +
+      train("slurm") + " & SLURM_PROCID=0 '" WEFT_PROGRAM "' " + train("slurm") +
+      "; code=$?; wait $! || code=1; exit $code";
+  expect_equal("slurm", test::run_shell(started));
+
+  if (test::run_shell("command -v mpirun").code != 0) GTEST_SKIP() << "no mpirun (Debian: openmpi-bin)";
+  expect_equal(
+      "mpi",
+      test::run_shell("unset WEFT_PLUGIN_PATH; mpirun --allow-run-as-root --oversubscribe -n 4 '" WEFT_PROGRAM "' " +
+                      train("mpi")));
+}
+
+TEST_F(Ranks, ARankThatIsKilledEndsAllAndTheSameCommandGoesOn) {
+  iterations_ = 400;
+  ASSERT_EQ(weft_command(train("alone")).code, 0);
+  // The third of four ranks is killed when the first model was written.
+  const Outcome killed = test::run_shell(
+      "unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + train("killed") +
+      " --ranks 4 & pid=$!; for i in $(seq 1200); do test -e " + quoted(model("killed")) +
+      " && break; sleep 0.05; done; for process in $(grep -lsz \"^WEFT_RANKS_PARENT=$pid\" /proc/[0-9]*/environ); do "
+      "grep -qsz '^WEFT_RANK=2' $process && kill -KILL $(echo $process | tr -dc 0-9); done; wait $pid");
+  EXPECT_EQ(killed.code, 1) << killed.output;
+  EXPECT_THAT(killed.output, HasSubstr("rank 2 was ended by SIGKILL"));
+  EXPECT_THAT(killed.output, HasSubstr("the same command goes on from the checkpoint"));
+  ASSERT_TRUE(std::filesystem::exists(folder_ / "killed/model.checkpoint.h5"));
+  const Outcome resumed = weft_command(train("killed") + " --ranks 2");
+  EXPECT_THAT(resumed.output, HasSubstr("from the checkpoint"));
+  expect_equal("killed", resumed);
+}
+#endif
+
 TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   const Folder folder;
   const auto known = folder / "known", fresh = folder / "fresh", model = folder / "m/model.h5";

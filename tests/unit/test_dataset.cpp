@@ -236,6 +236,73 @@ TEST(Dataset, LoadsWhatWasSimulated) {
   EXPECT_THROW(data.shape(0, 100), ShapeError);
 }
 
+TEST(Dataset, ShapesCanStayInTheFiles) {
+  const Folder folder;
+  ToyHost host(2, 0.9);  // some fail
+  generate(folder / "d", 24, host);
+  const Dataset memory = load_dataset(folder / "d"), files = load_dataset(folder / "d", 0, ShapesIn::files);
+  const auto has_failed = [](const Example& e) { return e.failed(); };
+  EXPECT_TRUE(std::any_of(memory.examples.begin(), memory.examples.end(), has_failed));
+  ASSERT_EQ(files.examples.size(), memory.examples.size());
+  files.require_task(toy_task());
+  for (std::size_t i = 0; i < memory.examples.size(); ++i) {
+    const Example &there = memory.examples[i], &e = files.examples[i];
+    ASSERT_NE(e.stored.file, nullptr);
+    EXPECT_TRUE(e.shapes.empty());
+    EXPECT_EQ(e.read_shapes(4), there.shapes);
+    EXPECT_EQ(there.read_shapes(4), there.shapes);
+    EXPECT_EQ(e.q, there.q);
+    EXPECT_EQ(e.controls, there.controls);
+    if (!e.failed()) EXPECT_EQ(files.shape(i, e.segments()), memory.shape(i, e.segments()));
+  }
+  Dataset both = load_dataset(folder / "d", 0, ShapesIn::files), other = files;
+  other.header.identity = "another";
+  append_dataset(both, std::move(other));
+  EXPECT_EQ(both.examples[24].read_shapes(4), memory.examples[0].shapes);
+  write_shard(folder / "again.h5", {files.header, {files.examples.begin(), files.examples.begin() + 8}});
+  EXPECT_EQ(bytes_of(folder / "again.h5"), bytes_of(folder / "d" / shard_name(0)));
+}
+
+TEST(Dataset, WhatChangedInAFileIsFoundWhenItIsUsed) {
+  const Folder folder;
+  ToyHost host(1);
+  generate(folder / "d", 8, host);
+  const auto file = folder / "d" / shard_name(0);
+  const std::string whole = bytes_of(file);
+  const auto problem = [&](const std::string& bytes, std::size_t example) {
+    const Dataset files = load_dataset(folder / "d", 0, ShapesIn::files);
+    std::ofstream(file, std::ios::binary) << bytes;
+    const auto message = message_of<ConfigError>([&] { files.examples[example].read_shapes(4); });
+    std::ofstream(file, std::ios::binary) << whole;
+    return message;
+  };
+  const auto at = load_dataset(folder / "d", 0, ShapesIn::files).examples[3].stored.at;
+  auto changed = whole;
+  changed[at + 5] ^= 1;
+  EXPECT_THAT(problem(changed, 3), HasSubstr("example 3 is damaged"));
+  EXPECT_EQ(problem(changed, 2), "");  // the others are as they were
+  EXPECT_THAT(problem(whole.substr(0, at), 3), HasSubstr("example 3 is missing: the file was cut short"));
+  // The checksum is of the whole example, not of its shapes alone.
+  Example other = load_dataset(folder / "d", 0, ShapesIn::files).examples[3];
+  other.q[0] += 0.25;
+  EXPECT_THAT(message_of<ConfigError>([&] { other.read_shapes(4); }), HasSubstr("is damaged"));
+}
+
+TEST(Dataset, FilesOfSchema1AreRead) {
+  const Folder folder;
+  const std::filesystem::path old = WEFT_SOURCE_DIR "/tests/unit/dataset_1.h5";
+  ASSERT_EQ(Hdf5File::open(old).read_text("/schema"), "weft dataset 1");
+  const Shard shard = read_shard(old), files = read_shard(old, ShapesIn::files);
+  ASSERT_EQ(shard.examples.size(), 3u);
+  EXPECT_EQ(files.examples[1].shapes, shard.examples[1].shapes);  // compressed: they must be in memory
+  std::filesystem::create_directory(folder / "d");
+  std::filesystem::copy_file(old, folder / "d" / shard_name(0));
+  merge_datasets({folder / "d"}, folder / "new");  // writes the schema of today
+  const Dataset now = load_dataset(folder / "new", 0, ShapesIn::files);
+  EXPECT_TRUE(now.examples[2].shapes.empty());
+  EXPECT_EQ(now.examples[2].read_shapes(now.header.vertices), shard.examples[2].shapes);
+}
+
 TEST(Dataset, AFailedSimulationIsRecorded) {
   const Folder folder;
   ToyHost host(2, 0.9);

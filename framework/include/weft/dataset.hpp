@@ -1,6 +1,8 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -11,6 +13,13 @@
 #include "weft/types.hpp"
 
 namespace weft {
+
+/// Where the shapes of an example lie that are not in memory.
+struct StoredShapes {
+  std::shared_ptr<const std::filesystem::path> file;  ///< null: they are in memory
+  std::uint64_t at = 0;                               ///< their first byte in it
+  std::uint64_t checksum = 0;                         ///< Example::checksum() of the whole example
+};
 
 /// One manipulation example (section 3): the material, the controls and the simulated shapes.
 struct Example {
@@ -24,9 +33,16 @@ struct Example {
   SettleResult settle;
   double max_grasp_strain = 0.0;
   std::string failure;  ///< why the simulation failed; a failed example has no segments and no shapes
+  StoredShapes stored;  ///< with a file: `shapes` is empty, and read_shapes() reads them
 
   Index segments() const { return controls.rows(); }
   bool failed() const { return !failure.empty(); }
+  /// Of all that the example holds, with these shapes.
+  WEFT_API std::uint64_t checksum(const std::vector<float>& shapes_of_it) const;
+  /// The shapes, from memory or from their file. Thread-safe.
+  /// @param vertices V. @return [k + 1, V, 3] m.
+  /// @throws ConfigError naming the file when it cannot be read, or holds something else than when it was listed.
+  WEFT_API std::vector<float> read_shapes(Index vertices) const;
 };
 
 enum class Split { train, validation, test };  // in order of use: < is meaningful
@@ -63,7 +79,7 @@ struct DatasetHeader {
   Split split(std::int64_t index) const { return origin().split(index); }
 };
 
-/// Examples in memory, ascending by index within each dataset.
+/// Examples, ascending by index within each dataset. Their shapes are in memory, or in files (Example::stored).
 struct Dataset {
   DatasetHeader header;
   std::vector<Example> examples;

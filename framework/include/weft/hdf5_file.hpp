@@ -2,6 +2,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,6 +27,8 @@ class WEFT_API Hdf5File {
   void write(const std::string& path, const std::vector<Index>& shape, const double* data);
   void write(const std::string& path, const std::vector<Index>& shape, const float* data);
   void write(const std::string& path, const std::vector<Index>& shape, const std::int64_t* data);
+  /// Neither chunked nor compressed: parts of it can be read without reading the rest.
+  void write_plain(const std::string& path, const std::vector<Index>& shape, const float* data);
   void write(const std::string& path, const std::string& text);
   /// Stored as 16-bit floats: exact for values that have 11 significant bits.
   void write_half(const std::string& path, const std::vector<Index>& shape, const float* data);
@@ -45,6 +48,9 @@ class WEFT_API Hdf5File {
   bool has(const std::string& path) const;
   std::vector<std::string> list(const std::string& group) const;  ///< names in a group, sorted
   std::vector<Index> shape(const std::string& path) const;
+  /// The first byte in the file of an array that lies there as 32-bit floats of this machine, one after the other.
+  /// Nothing if it is stored otherwise, or is empty.
+  std::optional<std::uint64_t> place(const std::string& path) const;
   /// Converts from the stored number type. Refuses arrays above `max_elements` before allocating.
   std::vector<double> read(const std::string& path, std::size_t max_elements = 1u << 30) const;
   std::vector<float> read_float(const std::string& path, std::size_t max_elements = 1u << 30) const;

@@ -10,12 +10,27 @@
 
 namespace weft {
 
+/// Processes ("ranks") that fit one model together, as one of them sees them. All of them see one file system.
+struct FitRanks {
+  int rank = 0, size = 1;
+  std::filesystem::path meeting;  ///< file in which rank 0 says where it is reached; one for each start of the ranks
+  bool is_one_machine = false;    ///< they talk over loopback
+  std::string interface;          ///< network interface for the others; empty: that of the host name
+};
+
 struct FitOptions {
   std::uint64_t seed = 0;
   std::filesystem::path model;       ///< file of the best model so far; whole or absent
   std::filesystem::path checkpoint;  ///< state for resuming: read if it exists, rewritten regularly; empty: none
   std::string provenance;            ///< version, commit and plugins, JSON; recorded in the model
   bool accept_changed = false;       ///< go on from a checkpoint of other settings or data, if its sizes fit
+  FitRanks ranks;                    ///< only rank 0 writes files and calls the observer
+};
+
+/// What fit() of a predictor can do besides.
+struct TrainingCapabilities {
+  bool ranks = false;          ///< several processes fit one model
+  bool stored_shapes = false;  ///< reads shapes by Example::read_shapes(), so that they need not be in memory
 };
 
 /// State of a running fit, for progress lines.
@@ -63,9 +78,12 @@ struct CalibrationReport {
 class WEFT_API TrainablePredictor {
  public:
   virtual ~TrainablePredictor() = default;
+  virtual TrainingCapabilities training_capabilities() const { return {}; }
   /// Fits the predictor to the train split. Afterwards it holds the model with the lowest loss on the validation split.
-  /// A killed fit resumes from its checkpoint. Without a time limit it ends with the same bits.
-  /// @throws ConfigError if data and task do not match, or a checkpoint belongs to another fit; Unsupported.
+  /// A killed fit resumes from its checkpoint. Without a time limit it ends with the same bits. Over ranks all call it
+  /// alike, and rank 0 gets the model of one process, bit for bit; any number of ranks resumes.
+  /// @throws ConfigError if data and task do not match, or a checkpoint belongs to another fit; Unsupported;
+  /// Error when another rank has died.
   virtual FitReport fit(const Dataset& dataset, const Task& task, const FitOptions& options,
                         const FitObserver& observer) = 0;
   virtual void save(const std::filesystem::path& file) const = 0;

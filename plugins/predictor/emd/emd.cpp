@@ -356,7 +356,7 @@ FitReport EmdPredictor::fit(const Dataset& dataset, const Task& task, const FitO
   const auto run = reinterpret_cast<FitFunction>(training_function("weft_emd_fit", params_.kernels));
   FitJob job{dataset, task, params_.architecture, params_.training, options, observer, host_, {}, {}};
   run(job);
-  model_ = std::make_shared<const Model>(std::move(job.model));
+  model_ = options.ranks.rank == 0 ? std::make_shared<const Model>(std::move(job.model)) : nullptr;
   bound_.reset();
   return job.report;
 }

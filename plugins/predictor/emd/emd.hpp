@@ -22,6 +22,7 @@ class EmdPredictor final : public Predictor, public TrainablePredictor {
                                       const PredictionRequest& request) const override;
   std::optional<Box> control_range() const override;
   TrainablePredictor* trainable() override { return this; }
+  TrainingCapabilities training_capabilities() const override { return {.ranks = true, .stored_shapes = true}; }
 
   FitReport fit(const Dataset& dataset, const Task& task, const FitOptions& options,
                 const FitObserver& observer) override;

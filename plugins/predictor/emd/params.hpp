@@ -60,6 +60,7 @@ struct Training {
   double weight_decay = 0.0;
   double clip = 1.0;
   std::int64_t votes = 4;
+  std::string vote = "sign";
   std::int64_t parts = 2;
   std::int64_t batch = 32;
   std::int64_t iterations = 30000;
@@ -92,6 +93,9 @@ struct Training {
     v("weight_decay", weight_decay, range(0, 1), "Decoupled weight decay (AdamW).");
     v("clip", clip, range(0, 1e6), "Largest norm of the gradient; 0: no limit.");
     v("votes", votes, range(1, 256), "SignSGD: parts of the batch whose gradient signs vote.");
+    v("vote", vote, choice({"sign", "one_bit"}),
+      "SignSGD: what a part votes where its gradient is zero: nothing, or one_bit: plus. Over ranks a vote takes a byte or "
+      "a bit; one_bit needs an odd number of votes.");
     v("parts", parts, range(1, 256),
       "Adam: parts of the batch whose gradients are computed in parallel and added in order.");
     v("batch", batch, range(1, 4096), "Examples per iteration.");

@@ -49,6 +49,8 @@ class Checkpoint {
   /// @throws ConfigError when the file is damaged or belongs to another fit.
   std::optional<FitState> load(Model& model) const;
   void remove() const;
+  /// Data and settings of the fit.
+  const std::string& identity() const { return identity_; }
 
  private:
   std::filesystem::path path_;

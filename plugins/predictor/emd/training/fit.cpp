@@ -4,7 +4,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <utility>
 
 #include "../model_file.hpp"
@@ -13,10 +16,12 @@
 #include "batch_sampler.hpp"
 #include "calibration.hpp"
 #include "checkpoint.hpp"
+#include "gradient_sum.hpp"
 #include "learning_rate.hpp"
 #include "normalisation.hpp"
 #include "optimiser.hpp"
 #include "passes.hpp"
+#include "ranks.hpp"
 #include "validation.hpp"
 
 namespace weft::emd {
@@ -67,10 +72,17 @@ FitState first_state(const FitJob& job) {
   return state;
 }
 
+/// What rank 0 tells the others before each iteration.
+struct Order {
+  enum Kind : std::int64_t { go_on, stopped, finished };
+  Kind kind = go_on;
+  double rate = 0.0, time_used = 0.0;  ///< as in FitState
+};
+
 class Fit {
  public:
   /// Keeps references to all but the state. The model has its normalisation.
-  Fit(FitJob& job, Passes& passes, const Examples& examples, const Checkpoint& checkpoint, FitState state,
+  Fit(FitJob& job, Passes& passes, const Examples& examples, const Checkpoint& checkpoint, Ranks& ranks, FitState state,
       Clock::time_point started)
       : job_(job),
         t_(job.training),
@@ -78,15 +90,19 @@ class Fit {
         passes_(passes),
         examples_(examples),
         checkpoint_(checkpoint),
+        ranks_(ranks),
         state_(std::move(state)),
         sampler_(passes, examples.train, t_, job.options.seed),
-        gradient_(passes, t_, state_.weights),
+        gradient_(passes, t_, state_.weights, ranks, parts_of_batch(t_, ranks.size())),
+        sum_(t_, job.host, ranks, state_.weights.size(), parts_of_batch(t_, ranks.size())),
         optimiser_(t_, job.host, state_.weights.size()),
-        validation_(passes, examples.validation, t_.evaluation_cases, job.options.seed),
         first_iteration_(state_.iteration),
         earlier_seconds_(state_.seconds),
-        started_(started) {}
+        started_(started) {
+    if (ranks.is_first()) validation_.emplace(passes, examples.validation, t_.evaluation_cases, job.options.seed);
+  }
 
+  /// Rank 0.
   void run() {
     std::string stopped_by = "iterations";
     bool is_cancelled = false;
@@ -99,9 +115,20 @@ class Fit {
         stopped_by = "early_stop";
         break;
       }
-      step();
-      is_cancelled = !evaluate_and_report() || job_.host.cancelled();
+      try {
+        order(Order::go_on);
+        step();
+      } catch (const RanksLost&) {
+        save_checkpoint();  // of the last whole iteration
+        throw;
+      }
+      is_cancelled = !evaluate_and_report() || is_stop_wanted_ || job_.host.cancelled();
       if (is_cancelled || state_.iteration % t_.checkpoint_every == 0) save_checkpoint();
+    }
+    try {
+      order(is_cancelled ? Order::stopped : Order::finished);
+    } catch (const RanksLost&) {
+      // They are not needed any more.
     }
     // The state may come from a checkpoint that was written after the last evaluation.
     const bool is_evaluated = !state_.curve.empty() && state_.curve.back().iteration == state_.iteration;
@@ -111,19 +138,63 @@ class Fit {
     if (!is_cancelled) checkpoint_.remove();
   }
 
+  /// The other ranks.
+  void follow() {
+    Order from_first;
+    for (ranks_.broadcast(&from_first, 1); from_first.kind == Order::go_on; ranks_.broadcast(&from_first, 1)) {
+      state_.rate = from_first.rate;
+      state_.time_used = from_first.time_used;
+      step();
+    }
+    job_.report.iterations = state_.iteration;
+    job_.report.seconds = seconds();
+    job_.report.resumed = first_iteration_ > 0;
+    job_.report.finished = from_first.kind == Order::finished;
+  }
+
  private:
+  void order(Order::Kind kind) {
+    Order told{kind, state_.rate, state_.time_used};
+    ranks_.broadcast(&told, 1);
+  }
+
   double seconds() const { return earlier_seconds_ + seconds_since(started_); }
 
   void step() {
-    const double loss = gradient_.compute(sampler_.sequences(state_.iteration), sampler_.columns(state_.iteration));
+    const auto sequences = sampler_.sequences(state_.iteration);
+    if (passes_.reads_files()) {
+      if (state_.iteration == first_iteration_) passes_.read_ahead(gradient_.examples(sequences));
+      passes_.read_ahead(gradient_.examples(sampler_.sequences(state_.iteration + 1)));
+    }
+    const double loss = mean_loss(sequences, gradient_.compute(sequences, sampler_.columns(state_.iteration)));
     if (!std::isfinite(loss)) {
       throw Error("emd: the training loss is not finite after " + std::to_string(state_.iteration) +
                   " iterations; lower training.rate");
     }
+    const auto& direction = sum_.join(gradient_.parts());
     state_.loss_sum += loss;
     ++state_.loss_count;
-    optimiser_.step(gradient_.parts(), state_);
+    optimiser_.step(direction, state_);
     ++state_.iteration;
+  }
+
+  /// Of the whole batch; asks all ranks for it, and whether one is to stop.
+  /// @param losses [parts of this rank], as from BatchGradient.
+  double mean_loss(const std::vector<Sequence>& sequences, std::vector<double> losses) {
+    double sum = 0.0, shapes = 0.0;
+    losses.push_back(job_.host.cancelled() ? 1.0 : 0.0);
+    const std::size_t each = losses.size();
+    std::vector<double> all(ranks_.size() * each);
+    ranks_.gather(reinterpret_cast<const std::byte*>(losses.data()), reinterpret_cast<std::byte*>(all.data()),
+                  each * sizeof(double));
+    for (std::size_t k = 0; k < all.size(); ++k) {
+      if (k % each + 1 < each)
+        sum += all[k];
+      else if (all[k] > 0.0)
+        is_stop_wanted_ = true;
+    }
+    for (const auto& s : sequences) shapes += s.decoded.size();
+    return sum / shapes;
   }
 
   /// Evaluates when an evaluation is due. Reports after it, and every 10 s. @return false when the observer stops the
@@ -139,7 +210,7 @@ class Fit {
 
   void evaluate() {
     const auto& weights = t_.average > 0 ? state_.average : state_.weights;
-    const auto [loss, error_mm] = validation_.evaluate(weights);
+    const auto [loss, error_mm] = validation_->evaluate(weights);
     state_.validation_loss = loss;
     state_.validation_error_mm = error_mm;
     state_.training_loss = state_.mean_training_loss();
@@ -249,30 +320,63 @@ class Fit {
   Passes& passes_;
   const Examples& examples_;
   const Checkpoint& checkpoint_;
+  Ranks& ranks_;
   FitState state_;
   BatchSampler sampler_;
   BatchGradient gradient_;
+  GradientSum sum_;
   Optimiser optimiser_;
-  Validation validation_;
+  std::optional<Validation> validation_;  // of rank 0
+  bool is_stop_wanted_ = false;           // by any rank
   std::int64_t first_iteration_;
   double earlier_seconds_;  ///< of the processes before this one
   Clock::time_point started_, last_report_ = Clock::now();
 };
 
+/// Gives all ranks what iterations need of rank 0's state and model.
+void share(Ranks& ranks, FitState& state, Model& model) {
+  for (auto* values : {&state.weights, &state.first_moment, &state.second_moment, &model.mean, &model.basis,
+                       &model.scale, &model.input_mean, &model.input_sd})
+    ranks.broadcast(*values);
+  ranks.broadcast(&state.iteration, 1);
+  if (!ranks.is_first()) state.average = state.weights;
+}
+
 }  // namespace
 
 void fit(FitJob& job) {
   const Clock::time_point started = Clock::now();
+  parts_of_batch(job.training, static_cast<std::size_t>(job.options.ranks.size));  // says what is wrong with them
   const Examples examples(job);
   describe_model(job);
   Passes passes(job.dataset, job.model, job.host);
   const Checkpoint checkpoint(job, examples.train.size(), examples.validation.size());
-  std::optional<FitState> state = checkpoint.load(job.model);
-  if (!state) {
-    find_normalisation(passes, examples.train, job.training.half_precision, job.model);
-    state = first_state(job);
+  Ranks ranks(job.options.ranks);
+  const char* variant = std::getenv("ATEN_CPU_CAPABILITY");  // see training_library.cpp
+  ranks.require_same(checkpoint.identity() + " " + (variant != nullptr ? variant : ""));
+  std::optional<FitState> state;
+  if (ranks.is_first()) {
+    state = checkpoint.load(job.model);
+    if (!state) {
+      find_normalisation(passes, examples.train, job.training.half_precision, job.model);
+      state = first_state(job);
+    }
+  } else {
+    state.emplace();
   }
-  Fit(job, passes, examples, checkpoint, std::move(*state), started).run();
+  ranks.wait_for_first();
+  share(ranks, *state, job.model);
+  Fit fit(job, passes, examples, checkpoint, ranks, std::move(*state), started);
+  if (ranks.is_first())
+    fit.run();
+  else
+    fit.follow();
+  if (const auto done = job.report.iterations; ranks.size() > 1 && done > 0) {
+    char line[120];
+    std::snprintf(line, sizeof(line), "emd: rank %zu of %zu sent %.3f MB in all", ranks.rank(), ranks.size(),
+                  static_cast<double>(ranks.bytes_sent()) / 1e6);
+    job.host.log(LogLevel::info, line);
+  }
 }
 
 }  // namespace weft::emd

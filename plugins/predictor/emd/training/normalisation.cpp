@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "../model_file.hpp"
 #include "passes.hpp"
@@ -10,38 +11,43 @@
 namespace weft::emd {
 namespace {
 
-/// Finds the mean shape. @return number of shapes.
-std::size_t find_mean_shape(const Passes& passes, const std::vector<std::size_t>& train, Model& model) {
-  const std::size_t width = model.dimensions.coordinates();
-  std::vector<double> sum(width, 0.0);
+/// What one pass over the shapes gives, in the order of the examples. It holds few of them.
+struct ShapesSeen {
   std::size_t count = 0;
-  for (const auto i : train) {
-    const auto& shapes = passes.example(i).shapes;
-    for (std::size_t s = 0; s < shapes.size(); ++s) sum[s % width] += shapes[s];
-    count += shapes.size() / width;
-  }
-  model.mean.resize(width);
-  for (std::size_t c = 0; c < width; ++c) model.mean[c] = static_cast<float>(sum[c] / count) / kLength;
-  return count;
-}
-
-/// Principal components of at most some 12000 shapes, evenly spread over all `count` shapes.
-void find_principal_components(const Passes& passes, const std::vector<std::size_t>& train, std::size_t count,
-                               Model& model) {
-  const Index n = model.dimensions.coordinates(), latent = model.architecture.latent;
-  const std::size_t width = n, stride = std::max<std::size_t>(1, count / 12000);
+  std::vector<double> sum;  ///< [width]
+  /// At most some 24000, evenly spread over all; of them principal components are made. [rows, width] m.
   std::vector<float> rows;
+};
+
+/// @param width coordinates of a shape.
+ShapesSeen see_shapes(const Passes& passes, const std::vector<std::size_t>& train, std::size_t width, bool keeps_rows) {
+  ShapesSeen seen;
+  seen.sum.assign(width, 0.0);
+  for (const auto i : train) seen.count += static_cast<std::size_t>(passes.example(i).segments()) + 1;
+  const std::size_t stride = std::max<std::size_t>(1, seen.count / 12000);
+  if (keeps_rows) seen.rows.reserve((seen.count / stride + 1) * width);
   std::size_t number = 0;
   for (const auto i : train) {
-    const auto& shapes = passes.example(i).shapes;
-    for (std::size_t s = 0; s + width <= shapes.size(); s += width, ++number) {
-      if (number % stride != 0) continue;
-      for (std::size_t c = 0; c < width; ++c) rows.push_back(shapes[s + c] / kLength - model.mean[c]);
+    const auto shapes = passes.shapes(i);
+    for (std::size_t s = 0; s + width <= shapes->size(); s += width, ++number) {
+      const float* shape = shapes->data() + s;
+      for (std::size_t c = 0; c < width; ++c) seen.sum[c] += shape[c];
+      if (keeps_rows && number % stride == 0) seen.rows.insert(seen.rows.end(), shape, shape + width);
     }
   }
+  return seen;
+}
+
+/// @param rows shapes, [m, coordinates] m.
+void find_principal_components(std::vector<float> rows, Model& model) {
+  const Index n = model.dimensions.coordinates(), latent = model.architecture.latent;
+  const std::size_t width = n;
+  for (std::size_t k = 0; k < rows.size(); ++k) rows[k] = rows[k] / kLength - model.mean[k % width];
   const Index m = rows.size() / width;
   const Tensor x = view(rows.data(), m, n);
-  const auto [values, vectors] = at::linalg_eigh(at::mm(x.t(), x).to(at::kDouble) / static_cast<double>(m));
+  const Tensor covariance = at::mm(x.t(), x).to(at::kDouble) / static_cast<double>(m);
+  rows = {};  // they take more memory than all else here
+  const auto [values, vectors] = at::linalg_eigh(covariance);
   model.basis.resize(n * latent);
   model.scale.resize(latent);
   const Tensor columns = vectors.contiguous();
@@ -109,9 +115,12 @@ void find_input_statistics(const Passes& passes, const std::vector<std::size_t>&
 
 void find_normalisation(const Passes& passes, const std::vector<std::size_t>& train, bool half_precision,
                         Model& model) {
-  const std::size_t count = find_mean_shape(passes, train, model);
+  const std::size_t width = model.dimensions.coordinates();
+  ShapesSeen seen = see_shapes(passes, train, width, model.needs_basis());
+  model.mean.resize(width);
+  for (std::size_t c = 0; c < width; ++c) model.mean[c] = static_cast<float>(seen.sum[c] / seen.count) / kLength;
   if (model.needs_basis()) {
-    find_principal_components(passes, train, count, model);
+    find_principal_components(std::move(seen.rows), model);
     if (half_precision) {
       for (float& b : model.basis) b = round_to_half(b);
     }

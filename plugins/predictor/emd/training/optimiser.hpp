@@ -1,4 +1,5 @@
 #pragma once
+#include <cstddef>
 #include <vector>
 
 #include "../params.hpp"
@@ -7,26 +8,24 @@
 
 namespace weft::emd {
 
-/// Moves the weights along the gradient of a batch: Adam(W), or SignSGD with a majority vote. The same bits on any
+/// Moves the weights along the direction of a batch: Adam(W), or SignSGD with a majority vote. The same bits on any
 /// number of threads.
 class Optimiser {
  public:
   /// Keeps references to both. @param weights Layout::size.
-  Optimiser(const Training& training, Host& host, std::size_t weights) : t_(training), host_(host), sum_(weights) {}
+  Optimiser(const Training& training, Host& host, std::size_t weights) : t_(training), host_(host), size_(weights) {}
   /// One step, and the moving average of the weights with it.
-  /// @param gradients [parts][weights], whose sum is the gradient.
-  void step(const std::vector<std::vector<float>>& gradients, FitState& state);
+  /// @param direction [weights], as GradientSum gives it.
+  void step(const std::vector<float>& direction, FitState& state);
 
  private:
-  void adam(const std::vector<std::vector<float>>& gradients, FitState& state);
-  void signsgd(const std::vector<std::vector<float>>& gradients, FitState& state);
+  void adam(const std::vector<float>& gradient, FitState& state);
+  void signsgd(const std::vector<float>& vote, FitState& state);
   void average(FitState& state);
-  template <class Body>
-  void in_chunks(const Body& body);
 
   const Training& t_;
   Host& host_;
-  std::vector<float> sum_;  ///< [weights]: gradient of the step
+  std::size_t size_;  ///< weights
 };
 
 }  // namespace weft::emd

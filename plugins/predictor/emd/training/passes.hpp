@@ -5,6 +5,9 @@
 #include <ATen/Parallel.h>
 
 #include <algorithm>
+#include <future>
+#include <memory>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
@@ -158,11 +161,37 @@ class Passes {
   /// Keeps references to all of them.
   Passes(const Dataset& dataset, const Model& model, Host& host) : dataset_(dataset), model_(model), host_(host) {
     at::set_num_threads(1);  // parts of a batch run in parallel instead
+    reads_files_ = std::any_of(dataset.examples.begin(), dataset.examples.end(),
+                               [](const Example& e) { return e.stored.file != nullptr; });
   }
+  Passes(const Passes&) = delete;
+  Passes& operator=(const Passes&) = delete;
   const Dataset& dataset() const { return dataset_; }
   const Model& model() const { return model_; }
   bool cancelled() const { return host_.cancelled(); }
+  /// But for its shapes, which may be in a file.
   const Example& example(std::size_t i) const { return dataset_.examples[i]; }
+
+  using Shapes = std::shared_ptr<const std::vector<float>>;
+  /// [k + 1, V, 3] m: from memory, from those that were read ahead, or from the file.
+  Shapes shapes(std::size_t i) const {
+    const Example& e = example(i);
+    if (e.stored.file == nullptr) return {Shapes(), &e.shapes};
+    const auto found = ahead_.find(i);
+    return found != ahead_.end() ? found->second : read(i);
+  }
+  bool reads_files() const { return reads_files_; }
+  /// Begins to read the shapes of examples on another thread, and keeps those of the call before.
+  void read_ahead(std::vector<std::size_t> examples) {
+    ahead_ = coming_.valid() ? coming_.get() : Read();
+    coming_ = std::async(std::launch::async, [this, wanted = std::move(examples)] {
+      Read all;
+      for (const std::size_t i : wanted) {
+        if (!all.contains(i)) all.emplace(i, read(i));
+      }
+      return all;
+    });
+  }
 
   void raw_inputs(const Example& e, Index j, const MaterialKnowledge& knowledge, double* to) const {
     const bool released = e.released && j + 1 == e.segments();
@@ -183,8 +212,8 @@ class Passes {
     };
     for (std::size_t r = 0; r < sequences.size(); ++r) {
       const auto& s = sequences[r];
-      const float* shapes = example(s.example).shapes.data();
-      const float* first = shapes + s.start * n;
+      const Shapes of_example = shapes(s.example);
+      const float* first = of_example->data() + s.start * n;
       normalised(first, batch.shape);
       for (std::size_t c = 0; c < n; ++c)
         batch.change.push_back(s.start == 0 ? 0.0f : (first[c] - (first - n)[c]) / kLength);
@@ -238,9 +267,17 @@ class Passes {
   }
 
  private:
+  using Read = std::unordered_map<std::size_t, Shapes>;
+  Shapes read(std::size_t i) const {
+    return std::make_shared<const std::vector<float>>(example(i).read_shapes(model_.dimensions.vertices));
+  }
+
   const Dataset& dataset_;
   const Model& model_;
   Host& host_;
+  bool reads_files_ = false;
+  Read ahead_;
+  std::future<Read> coming_;  // the first to be destroyed: it uses the others
 };
 
 }  // namespace weft::emd
