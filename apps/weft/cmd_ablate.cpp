@@ -6,6 +6,7 @@
 #include "experiments/cells.hpp"
 #include "experiments/physics/physics.hpp"
 #include "experiments/sweep_rows.hpp"
+#include "meshes/garment_writer.hpp"
 #include "output.hpp"
 #include "report/times.hpp"
 #include "session/session.hpp"
@@ -102,7 +103,7 @@ void write_plan(const AblationPlan& plan, const ConfigNode& config, std::vector<
     const bool is_first = garment.hash == first.hash && garment.positions == first.positions;
     const std::string name = is_first ? "garment.obj" : "garment-" + arm_hash(plan.arms[a]) + ".obj";
     write_garment(saved[a].task, folder, name);
-    one = one.with("garment.mesh", ConfigNode::quoted(name));
+    one = one.with("garment", garment_node(name, garment));
     write_text(folder / ("arm-" + slug(plan.arms[a].name) + "-" + arm_hash(plan.arms[a]) + ".yaml"), one.to_yaml());
   }
   write_text(folder / "config.yaml", config.to_yaml());

@@ -5,30 +5,12 @@
 #include "commands.hpp"
 #include "garment_options.hpp"
 #include "meshes/mesher.hpp"
+#include "meshes/sewing.hpp"
 #include "options.hpp"
 #include "sdk/files.hpp"
 
 namespace weft::app {
 namespace {
-
-/// Turns the fields of a size struct into options: sleeve_length_m becomes --sleeve-length, in metres.
-struct OptionVisitor {
-  CLI::App& command;
-  void operator()(const char* name, double& value, const Range& allowed, const char* text) const {
-    std::string option = name;
-    for (const char* unit : {"_m", "_deg"}) {
-      const std::string suffix = unit;
-      if (option.size() > suffix.size() && option.compare(option.size() - suffix.size(), suffix.size(), suffix) == 0) {
-        option.resize(option.size() - suffix.size());
-        break;
-      }
-    }
-    for (char& c : option) c = c == '_' ? '-' : c;
-    command.add_option("--" + option, value, std::string(text) + " [" + allowed.unit + "]")
-        ->check(within(allowed.lower, allowed.upper))
-        ->capture_default_str();
-  }
-};
 
 struct Request {
   std::string kind;
@@ -36,6 +18,7 @@ struct Request {
   MeshSize size;
   std::vector<std::string> fine_lines;
   bool yaml = false;
+  bool two_layers = false;
   std::string command_line;  ///< makes the same files again; without folders
 };
 
@@ -49,11 +32,28 @@ void write_yaml(const std::filesystem::path& path, const Request& request, const
   out << "# Made by: " << request.command_line << '\n' << line;
   std::vector<std::pair<std::string, ConfigNode>> vertices;
   for (const auto& [name, index] : result.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
-  out << ConfigNode::mapping({{"name", ConfigNode::scalar(request.kind)},
-                              {"mesh", ConfigNode::scalar(mesh_file)},
-                              {"vertices", ConfigNode::mapping(std::move(vertices))}})
-             .to_yaml();
+  std::vector<std::pair<std::string, ConfigNode>> entries{{"name", ConfigNode::scalar(request.kind)},
+                                                          {"mesh", ConfigNode::scalar(mesh_file)}};
+  if (request.two_layers) {
+    entries.emplace_back("rest", ConfigNode::mapping({{"from", ConfigNode::scalar("mesh")}}));
+    entries.emplace_back("layers", ConfigNode::scalar("sides"));
+  }
+  entries.emplace_back("vertices", ConfigNode::mapping(std::move(vertices)));
+  out << ConfigNode::mapping(std::move(entries)).to_yaml();
   write_text(path, out.str());
+}
+
+/// Joins the generated front to a back at the outline's seams. Named vertices at openings get a second one, back_NAME.
+void add_back(GeneratedMesh& result, const Outline& outline) {
+  SewnMesh sewn =
+      sew_front_and_back(result.mesh, [&](const Vec2& a, const Vec2& b) { return !is_open_at(outline, a, b); });
+  const auto front = result.vertices;
+  for (const auto& [name, index] : front) {
+    const int back = sewn.back[static_cast<std::size_t>(index)];
+    if (back != index) result.vertices["back_" + name] = back;
+  }
+  result.mesh = std::move(sewn.mesh);
+  make_garment(result.mesh, "generated", result.vertices, sewn.form);  // checks it as any input
 }
 
 int run_garment(const Context& context, Request request) {
@@ -61,10 +61,12 @@ int run_garment(const Context& context, Request request) {
   std::filesystem::path mesh_path = context.out;
   if (mesh_path.extension() != ".obj") throw ConfigError("--out = " + context.out + ", must end in .obj");
   read_fine_lines(request.size, request.fine_lines);
-  GeneratedMesh result = generate_mesh(request.outline(), request.size);
+  const Outline outline = request.outline();
+  GeneratedMesh result = generate_mesh(outline, request.size);
+  if (request.two_layers) add_back(result, outline);
   if (mesh_path.has_parent_path()) make_writable_folder(mesh_path.parent_path());
   write_obj(mesh_path, result.mesh);
-  if (request.yaml) {
+  if (request.yaml || request.two_layers) {
     write_yaml(std::filesystem::path(mesh_path).replace_extension(".yaml"), request, result,
                mesh_path.filename().string());
   }
@@ -100,13 +102,14 @@ void add_kind(CLI::App& garment, Context& context, const std::string& kind, cons
   auto request = std::make_shared<Request>();
   request->kind = kind;
   request->outline = [size, outline] { return outline(*size); };
-  OptionVisitor visitor{*command};
-  size->visit(visitor);
+  add_size_options(*command, *size);
   command->add_option("--edge", request->size.edge_m, "Edge length [m]")
       ->check(within(1e-4, 1.0))
       ->capture_default_str();
   add_fine_options(*command, request->size, request->fine_lines);
   command->add_flag("--yaml", request->yaml, "Also write the garment's YAML (named vertices) beside the mesh");
+  command->add_flag("--two-layers", request->two_layers,
+                    "A front and a back, joined at the seams; writes the YAML too, which says how they lie");
   command->callback([&context, command, request, kind] {
     request->command_line = recorded_command(*command, "weft garment " + kind);
     context.action = [&context, request] { return run_garment(context, *request); };
@@ -116,13 +119,16 @@ void add_kind(CLI::App& garment, Context& context, const std::string& kind, cons
 }  // namespace
 
 void register_garment(CLI::App& app, Context& context) {
-  CLI::App* garment = app.add_subcommand("garment", "Import, look at, or generate a garment: weft garment import FILE");
+  CLI::App* garment =
+      app.add_subcommand("garment", "Import, lay, look at, fold, or generate a garment: weft garment import FILE");
   garment->require_subcommand(1);
   add_kind<TowelSize>(*garment, context, "towel", "A rectangle", {}, towel_outline);
   add_kind<ShirtSize>(*garment, context, "tshirt", "A shirt with short sleeves", {}, shirt_outline);
   add_kind<ShirtSize>(*garment, context, "long_sleeve", "A shirt with long sleeves", long_sleeve_size(), shirt_outline);
   add_kind<TrousersSize>(*garment, context, "trousers", "Trousers", {}, trousers_outline);
   register_garment_import(*garment, context);
+  register_garment_lay(*garment, context);
+  register_garment_fold(*garment, context);
   register_garment_show(*garment, context);
 }
 

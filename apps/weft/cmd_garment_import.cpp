@@ -23,6 +23,7 @@ struct ImportRequest {
   MeshSize size;
   double remesh_m = 0.0;
   bool no_tuning = false;
+  bool no_lay = false;
   ImportOptions options;
   std::string command_line;
 };
@@ -33,8 +34,6 @@ const char* kind_text(FindingKind kind) {
       return "mended";
     case FindingKind::warning:
       return "warning";
-    case FindingKind::limit:
-      return "limit";
     default:
       return "fact";
   }
@@ -151,6 +150,24 @@ void say_findings(const Context& context, const Findings& findings) {
   }
 }
 
+/// Lays a garment that is drawn as it is worn. @return its crossings, as a text; empty: none.
+std::string lay(Context& context, const ImportRequest& request, ImportedGarment& garment, const std::string& name) {
+  context.say("laying the garment on the table by simulation");
+  const Garment worn = garment.garment(name);
+  const LaidGarment laid = lay_with(context, worn, "cloth", {});
+  garment.mesh.positions = laid.positions;
+  garment.form = RestForm::two_sides;
+  garment.layers = laid.layers;
+  choose_grasp(garment, request.options);
+  Garment whole = laid_garment(worn, laid);
+  whole.vertices = garment.vertices;
+  garment.kept = std::move(whole);
+  garment.findings.push_back({"lay", FindingKind::mended, garment.mesh.positions.rows(), laid_text(laid)});
+  if (laid.crossings == 0) return "";
+  garment.findings.push_back({"lay", FindingKind::warning, laid.crossings, crossing_text(laid)});
+  return crossing_text(laid);
+}
+
 int run_import(Context& context, ImportRequest request) {
   read_options(request);
   const fs::path file = request.file;
@@ -169,15 +186,19 @@ int run_import(Context& context, ImportRequest request) {
 
   say_findings(context, garment.findings);
   const std::size_t said = garment.findings.size();
+  std::string crossing;
+  if (!garment.is_flat() && !request.no_lay) crossing = lay(context, request, garment, name);
+  const bool foldable = garment.is_flat() && crossing.empty();
   write_garment_files(folder, name, garment, request.command_line);
   std::vector<std::string> files{name + ".obj", name + ".yaml"};
   ordered_json json{{"source", request.file},
                     {"garment", name},
                     {"vertices", garment.mesh.positions.rows()},
                     {"faces", garment.mesh.faces.rows()},
-                    {"foldable", garment.foldable()},
+                    {"foldable", foldable},
                     {"named", garment.vertices}};
-  if (garment.foldable()) {
+  if (garment.kept && garment.kept->has_frames()) files.push_back(name + "_rest.obj");
+  if (foldable) {
     json["grasp"] = garment.grasp;
     json.update(write_task(context, request, garment, folder, name, garment.findings));
     for (const char* ending : {"_fold.yaml", "_experiment.yaml"}) files.push_back(name + ending);
@@ -197,16 +218,14 @@ int run_import(Context& context, ImportRequest request) {
   context.say(folder.string() + ": " + std::to_string(files.size()) + " files");
   context.say(no_page.empty() ? "to look at it, open " + (folder / "import.html").string()
                               : "no import.html: " + no_page);
-  if (garment.foldable()) {
-    context.say("to fold it: weft run " + (folder / (name + "_fold.yaml")).string());
-    return 0;
+  if (!crossing.empty()) {
+    std::fprintf(stderr, "error: imported and laid, but there is no task: %s\n", crossing.c_str());
+    return 1;
   }
-  for (const Finding& finding : garment.findings) {
-    if (finding.kind == FindingKind::limit)
-      std::fprintf(stderr, "error: imported, but weft cannot fold it yet, so there is no task: %s\n",
-                   finding.text.c_str());
-  }
-  return 1;
+  context.say(foldable
+                  ? "to fold it: weft run " + (folder / (name + "_fold.yaml")).string()
+                  : "it stands as it was drawn; to lay it: weft garment lay " + (folder / (name + ".yaml")).string());
+  return 0;
 }
 
 }  // namespace
@@ -244,6 +263,8 @@ void register_garment_import(CLI::App& garment, Context& context) {
       ->check(within(0, 1000000))
       ->capture_default_str();
   command->add_option("--fabric", request->fabric, "Material space of the task; default: the one that ships with weft");
+  command->add_flag("--no-lay", request->no_lay,
+                    "Leave a garment that is drawn as it is worn as it stands; no task then");
   command->add_flag("--no-tuning", request->no_tuning, "Take the displacement from the garment's size alone");
   command->callback([&context, command, request] {
     request->command_line = recorded_command(*command, "weft garment import");

@@ -5,6 +5,7 @@
 #include "options.hpp"
 #include "report/garment_page.hpp"
 #include "sdk/files.hpp"
+#include "sdk/obj_file.hpp"
 #include "weft/config.hpp"
 #include "weft/mesh.hpp"
 
@@ -24,13 +25,33 @@ struct ShownGarment {
   fs::path mesh_path;
   std::string mesh_file;  ///< as the YAML names it
   std::map<std::string, Index> vertices;
+  std::optional<ConfigNode> yaml = {};  ///< the whole file
 };
+
+/// Positions and faces; a texture with seams does not matter here.
+Mesh drawn_mesh(const fs::path& path) {
+  const ObjFile file = read_obj_file(path, true);
+  Mesh mesh;
+  mesh.source = path.string();
+  mesh.positions.resize(static_cast<Index>(file.vertices.size()), 3);
+  for (Index v = 0; v < mesh.positions.rows(); ++v) {
+    const auto& at = file.vertices[static_cast<std::size_t>(v)];
+    mesh.positions.row(v) << at[0], at[1], at[2];
+  }
+  mesh.faces.resize(static_cast<Index>(file.faces.size()), 3);
+  for (Index f = 0; f < mesh.faces.rows(); ++f) {
+    const auto& corners = file.faces[static_cast<std::size_t>(f)].corners;
+    mesh.faces.row(f) << corners[0].vertex, corners[1].vertex, corners[2].vertex;
+  }
+  return mesh;
+}
 
 ShownGarment read_shown(const fs::path& file) {
   if (file.extension() != ".yaml" && file.extension() != ".yml")
     return {file.stem().string(), file, file.filename().string(), {}};
   const ConfigNode node = ConfigNode::load(file);
   ShownGarment garment{file.stem().string(), node.at("mesh").as_path(), node.at("mesh").as_string(), {}};
+  garment.yaml = node;
   if (const auto name = node.find("name")) garment.name = name->as_string();
   if (const auto named = node.find("vertices")) {
     for (const std::string& key : named->keys()) garment.vertices[key] = named->at(key).as_int();
@@ -40,7 +61,7 @@ ShownGarment read_shown(const fs::path& file) {
 
 int run_show(const Context& context, const ShowRequest& request) {
   ShownGarment garment = read_shown(request.file);
-  const Mesh mesh = read_obj(garment.mesh_path);
+  const Mesh mesh = drawn_mesh(garment.mesh_path);
   for (const auto& [name, index] : garment.vertices) {
     if (index < 0 || index >= mesh.positions.rows())
       throw ConfigError(request.file + ": vertices." + name + " = " + std::to_string(index) + ", must be in [0, " +
@@ -63,10 +84,11 @@ int run_show(const Context& context, const ShowRequest& request) {
                               .dump(2)
                        << '\n';
     } else {
-      context.output() << ConfigNode::mapping({{"name", ConfigNode::scalar(garment.name)},
-                                               {"mesh", ConfigNode::scalar(garment.mesh_file)},
-                                               {"vertices", ConfigNode::mapping(std::move(vertices))}})
-                              .to_yaml();
+      ConfigNode yaml = ConfigNode::mapping(
+          {{"name", ConfigNode::scalar(garment.name)}, {"mesh", ConfigNode::scalar(garment.mesh_file)}});
+      for (const char* key : {"rest", "layers", "seams"})
+        if (garment.yaml && garment.yaml->has(key)) yaml = yaml.with(key, garment.yaml->at(key));
+      context.output() << yaml.with("vertices", ConfigNode::mapping(std::move(vertices))).to_yaml();
     }
     if (context.out.empty()) return 0;
   }

@@ -73,6 +73,7 @@ int run(Context& context, const std::string& file) {
   } catch (const Error& error) {
     throw Error(error.what() + ("; the session is kept in " + session.string()));
   }
+  for (const auto& warning : garment_warnings(*given.task.garment)) given.host->log(LogLevel::warning, warning);
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) context.output() << with_times(summary, times);
   char line[200];

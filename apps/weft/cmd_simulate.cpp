@@ -1,6 +1,7 @@
 #include <cstdio>
 
 #include "commands.hpp"
+#include "meshes/garment_writer.hpp"
 #include "output.hpp"
 #include "report/times.hpp"
 #include "simulation/scene.hpp"
@@ -41,7 +42,7 @@ int simulate(Context& context, const std::string& file) {
   make_writable_folder(frames);
   remove_old_frames(frames);
   Mesh mesh{run.garment->positions, run.garment->faces, run.garment->rest, run.garment->name};
-  write_obj(folder / "garment.obj", mesh, true);
+  write_garment_meshes(folder / "garment.obj", *run.garment);
   write_text(folder / "config.yaml", write_scene(run, "garment.obj").to_yaml());
 
   const Index last = run.frames();

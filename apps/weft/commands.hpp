@@ -27,6 +27,8 @@ void register_worker(CLI::App& app, Context& context);
 
 // Below `weft garment`.
 void register_garment_import(CLI::App& garment, Context& context);
+void register_garment_fold(CLI::App& garment, Context& context);
+void register_garment_lay(CLI::App& garment, Context& context);
 void register_garment_show(CLI::App& garment, Context& context);
 
 // Below `weft evaluate`.

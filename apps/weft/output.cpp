@@ -8,6 +8,7 @@
 
 #include "commit.hpp"
 #include "identity/sha256.hpp"
+#include "meshes/garment_writer.hpp"
 #include "report/page.hpp"
 #include "sdk/files.hpp"
 
@@ -97,24 +98,16 @@ ConfigNode plugin_folders(const PluginRegistry& registry) {
 
 ConfigNode self_contained(const ConfigNode& resolved, const std::vector<ParamInfo>& params, const Task& task,
                           const PluginRegistry& registry) {
-  const auto& garment = *task.garment;
-  std::vector<std::pair<std::string, ConfigNode>> vertices;
-  for (const auto& [name, index] : garment.vertices) vertices.emplace_back(name, ConfigNode::integer(index));
-  const ConfigNode config =
-      registry.resolve_slots(resolved
-                                 .with("garment", ConfigNode::mapping({{"mesh", ConfigNode::quoted("garment.obj")},
-                                                                       {"name", ConfigNode::quoted(garment.name)},
-                                                                       {"vertices", ConfigNode::mapping(vertices)}}))
-                                 .with("material", write_material_space(task.material)),
-                             params);
+  const ConfigNode config = registry.resolve_slots(resolved.with("garment", garment_node("garment.obj", *task.garment))
+                                                       .with("material", write_material_space(task.material)),
+                                                   params);
   const ConfigNode folders = plugin_folders(registry);
   const bool had_some = config.has("plugin_path") && config.at("plugin_path").size() > 0;
   return folders.size() > 0 || had_some ? config.with("plugin_path", folders) : config;
 }
 
 void write_garment(const Task& task, const fs::path& folder, const std::string& name) {
-  const auto& garment = *task.garment;
-  write_obj(folder / name, {garment.positions, garment.faces, garment.rest, garment.name}, true);
+  write_garment_meshes(folder / name, *task.garment);
 }
 
 void say_mixed(const Context& context, const SweepPlan& plan, const std::vector<SweepRow>& rows,

@@ -7,6 +7,8 @@
 
 #include "conformance/kit.hpp"
 #include "meshes/intersections.hpp"
+#include "meshes/sewing.hpp"
+#include "weft/rest_shape.hpp"
 
 namespace weft::conformance {
 namespace of_simulators {
@@ -132,6 +134,117 @@ Outcome reset_lifts_to_contact_height(const Bench& bench) {
   return {std::max((x.col(2).array() - wanted).abs().maxCoeff(),
                    (x - garment->positions).leftCols<2>().cwiseAbs().maxCoeff()),
           ""};
+}
+
+/// Two sheets over each other in one garment: a chart, and layers 0 and 1.
+std::shared_ptr<const Garment> two_sheets() {
+  const auto one = sheet();
+  const Index n = one->vertex_count();
+  Mesh mesh;
+  mesh.source = "conformance two sheets";
+  mesh.positions.resize(2 * n, 3);
+  mesh.positions << one->positions, one->positions;
+  mesh.rest.resize(2 * n, 2);
+  mesh.rest << one->rest, one->rest;
+  mesh.faces.resize(2 * one->face_count(), 3);
+  mesh.faces << one->faces, (one->faces.array() + static_cast<int>(n)).matrix();
+  GarmentForm form;
+  form.layers.assign(static_cast<std::size_t>(2 * n), 0.0);
+  std::fill(form.layers.begin() + static_cast<std::ptrdiff_t>(n), form.layers.end(), 1.0);
+  return std::make_shared<const Garment>(make_garment(mesh, "two sheets", {}, std::move(form)));
+}
+
+Outcome reset_lays_layers_above_each_other(const Bench& bench) {
+  const auto sim = bench.make<Simulator>();
+  Scene scene;
+  scene.ground_height = 0.25;
+  const Fabric fabric = plain_fabric();
+  const auto garment = two_sheets();
+  sim->reset(garment, fabric, scene);
+  Worst worst;
+  for (Index v = 0; v < garment->vertex_count(); ++v)
+    worst.add(std::abs(sim->positions()(v, 2) - 0.25 - (garment->layer(v) + 1.0) * fabric.thickness_m));
+  return worst.outcome();
+}
+
+/// A simulator without the capability must refuse this garment.
+Outcome refuses_form(Simulator& sim, const std::shared_ptr<const Garment>& garment, const std::string& what) {
+  Refusals refusals;
+  refusals.wants<ConfigError>("a garment with " + what, [&] { sim.reset(garment, plain_fabric(), Scene()); });
+  return refusals.outcome().measured > 0 ? refusals.outcome() : undeclared();
+}
+
+/// The garment is drawn a fifth too narrow, and its frames are those of the sheet as it should be.
+Outcome frames_are_the_rest_shape(const Bench& bench) {
+  const auto right = sheet();
+  Mesh mesh;
+  mesh.source = "conformance frames";
+  mesh.positions = right->positions;
+  mesh.positions.col(0) *= 0.8;
+  mesh.faces = right->faces;
+  GarmentForm form;
+  form.frames = frames_of_shape(right->positions, right->faces, {false, Vec3(0.8, 0.6, 0.0)});
+  const auto garment = std::make_shared<const Garment>(make_garment(mesh, "frames", {}, std::move(form)));
+  const auto sim = bench.make<Simulator>();
+  if (!sim->capabilities().rest_frames) return refuses_form(*sim, garment, "rest frames");
+  const Fabric fabric = plain_fabric();
+  sim->reset(garment, fabric, Scene());
+  const Positions start = positions_on_ground(*right, 0.0, fabric.thickness_m);
+  sim->set_state(start, Positions::Zero(start.rows(), 3), {});
+  for (Index k = 0; k < 60; ++k) sim->step(kNothing);
+  return {(sim->positions() - start).rowwise().norm().maxCoeff(), ""};
+}
+
+/// A sheet is bent sharply along a seam, in free space and without gravity. Nothing straightens it.
+Outcome seams_carry_no_moment(const Bench& bench) {
+  const auto flat = sheet();
+  Mesh mesh{flat->positions, flat->faces, flat->rest, "conformance seam"};
+  GarmentForm form;
+  constexpr Index middle = kSide / 2;
+  form.seams.resize(kSide - 1, 2);
+  for (Index r = 0; r + 1 < kSide; ++r)
+    form.seams.row(r) << static_cast<int>(r * kSide + middle), static_cast<int>((r + 1) * kSide + middle);
+  const auto garment = std::make_shared<const Garment>(make_garment(mesh, "seam", {}, std::move(form)));
+  const auto sim = bench.make<Simulator>();
+  if (!sim->capabilities().rest_frames) return refuses_form(*sim, garment, "seams");
+  Scene scene = free_space();
+  scene.gravity.setZero();
+  Fabric fabric = plain_fabric();
+  fabric.bend_warp_n_m = fabric.bend_weft_n_m = fabric.bend_bias_n_m = 2e-4;
+  sim->reset(garment, fabric, scene);
+  Positions start = flat->positions;
+  const double edge = start(middle, 0);
+  for (Index v = 0; v < start.rows(); ++v) {
+    const double beyond = start(v, 0) - edge;
+    if (beyond > 0.0) start.row(v) << edge + 0.5 * beyond, start(v, 1), std::sqrt(0.75) * beyond;
+  }
+  sim->set_state(start, Positions::Zero(start.rows(), 3), {});
+  for (Index k = 0; k < 30; ++k) sim->step(kNothing);
+  return {(sim->positions() - start).rowwise().norm().maxCoeff(), ""};
+}
+
+/// A pillowcase, open at one side, carried like the sheet of the other laws.
+Outcome sewn_layers_do_not_cross(const Bench& bench) {
+  const auto front = sheet();
+  const double open = front->positions.col(0).maxCoeff() - 1e-9;
+  SewnMesh sewn = sew_front_and_back({front->positions, front->faces, RestPositions(0, 2), "conformance pillowcase"},
+                                     [&](const Vec2& a, const Vec2& b) { return a.x() < open || b.x() < open; });
+  const auto garment = std::make_shared<const Garment>(make_garment(sewn.mesh, "pillowcase", {}, std::move(sewn.form)));
+  const auto sim = bench.make<Simulator>();
+  if (!sim->capabilities().rest_frames) return refuses_form(*sim, garment, "rest frames and layers");
+  if (!sim->capabilities().self_contact) return undeclared_without_call();
+  sim->reset(garment, damped_fabric(), Scene());
+  Index crossings = count_intersections(sim->positions(), garment->faces);
+  sim->grasp(kCorners);
+  const Positions start = held(*sim);
+  for (Index k = 0; k < kCarryFrames; ++k) {
+    sim->step(carry(start, k + 1));
+    crossings = std::max(crossings, count_intersections(sim->positions(), garment->faces));
+  }
+  sim->release();
+  sim->settle({});
+  crossings = std::max(crossings, count_intersections(sim->positions(), garment->faces));
+  return {static_cast<double>(crossings), ""};
 }
 
 Outcome reset_forgets(const Bench& bench) {
@@ -689,6 +802,16 @@ const std::vector<Law>& simulator_laws() {
       {"reset_lifts_to_contact_height",
        "reset() lifts lower vertices to ground + thickness and moves none sideways (m).", 1e-9,
        reset_lifts_to_contact_height},
+      {"reset_lays_layers_above_each_other", "reset() puts layer n of a garment at ground + (n + 1) thicknesses (m).",
+       1e-9, reset_lays_layers_above_each_other},
+      {"frames_are_the_rest_shape",
+       "rest_frames: a sheet with rest frames, drawn in another size, keeps the size of its frames (m, 1 s).", 1e-4,
+       frames_are_the_rest_shape},
+      {"seams_carry_no_moment", "rest_frames: a sheet that is bent along a seam stays so in free space (m, 0.5 s).",
+       1e-4, seams_carry_no_moment},
+      {"sewn_layers_do_not_cross",
+       "rest_frames, self_contact: a front and a back that are sewn together never cross in a fold (crossings).", 0,
+       sewn_layers_do_not_cross},
       {"reset_forgets", "After reset() a used simulator gives the bits of a new one (numbers that differ).", 0,
        reset_forgets},
       {"pinned_stays_pinned", "Pinned vertices do not move while the rest falls (m).", 0, pinned_stays_pinned},

@@ -37,6 +37,11 @@ std::string mesh_hash(const Garment& garment) {
   add(garment.positions);
   add(garment.rest);
   add(garment.faces);
+  if (!garment.form.empty()) {
+    add(garment.form.frames);
+    add(Eigen::Map<const Vector>(garment.form.layers.data(), static_cast<Index>(garment.form.layers.size())));
+    add(garment.form.seams);
+  }
   return hash.hex();
 }
 

@@ -10,6 +10,7 @@
 #include "identity/identity.hpp"
 #include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
+#include "sdk/garment_arrays.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {
@@ -115,6 +116,7 @@ DatasetHeader read_header(const Hdf5File& file, const fs::path& path) {
     if (size < 1 || size > 1000000) refuse(path, "/sizes holds " + std::to_string(size) + ", must be in [1, 1000000]");
   }
   h.vertices = sizes[0];
+  h.garment_form = read_garment_form(file, path.string(), h.vertices);
   h.controls = sizes[1];
   h.states = sizes[2];
   h.hands = sizes[3];
@@ -262,6 +264,7 @@ void write_shard(const fs::path& path, const Shard& shard) {
   file.write("/checksum", c.checksum());
   file.write("/garment/name", h.garment_name);
   file.write("/garment/hash", std::to_string(h.garment_hash));
+  write_garment_form(file, h.garment_form);
   file.write("/names/controls", join(h.control_names));
   file.write("/names/states", join(h.state_names));
   const std::int64_t sizes[5] = {h.vertices, h.controls, h.states, h.hands, h.shard_examples};

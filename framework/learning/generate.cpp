@@ -30,6 +30,7 @@ DatasetHeader make_dataset_header(const Task& task, const DataParams& params, st
   h.seed = seed;
   h.garment_name = task.garment->name;
   h.garment_hash = task.garment->hash;
+  h.garment_form = task.garment->form;
   h.vertices = task.garment->vertex_count();
   for (const auto& v : task.trajectory->controls()) h.control_names.push_back(v.name);
   for (const auto& v : task.trajectory->state()) h.state_names.push_back(v.name);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include "meshes/plane.hpp"
 #include "weft/error.hpp"
@@ -15,7 +16,8 @@ void require(bool condition, const std::string& message) {
 
 /// Adds to each point its mirror image on the other side of x = 0, with left_/right_ names.
 /// The outline runs counter-clockwise: up on the right side, down on the left.
-Outline mirrored(const std::vector<Outline::Point>& right_side) {
+/// @param bottom_open the side between the first point and its image is an opening.
+Outline mirrored(const std::vector<Outline::Point>& right_side, bool bottom_open) {
   Outline outline;
   for (const Outline::Point& p : right_side) {
     outline.points.push_back(p);
@@ -26,6 +28,9 @@ Outline mirrored(const std::vector<Outline::Point>& right_side) {
     outline.points.push_back(*p);
     outline.points.back().at.x() = -p->at.x();
     if (!p->name.empty()) outline.points.back().name = "left_" + p->name;
+    // The side from here on is the image of the one that ends in the point on the right.
+    const auto before = std::next(p);
+    outline.points.back().open = before == right_side.rend() ? bottom_open : before->open;
   }
   return outline;
 }
@@ -74,7 +79,7 @@ void check_outline(const Outline& outline) {
 Outline towel_outline(const TowelSize& size) {
   const double x = size.width_m / 2.0;
   const double y = size.length_m;
-  return mirrored({{{x, 0.0}, "bottom"}, {{x, y}, "top"}});
+  return mirrored({{{x, 0.0}, "bottom"}, {{x, y}, "top", true, true}}, false);
 }
 
 Outline shirt_outline(const ShirtSize& size) {
@@ -96,20 +101,23 @@ Outline shirt_outline(const ShirtSize& size) {
           "sleeve_width_m = " + std::to_string(size.sleeve_width_m) +
               " reaches into the body; make the sleeves longer or narrower, or sleeve_angle_deg smaller");
   require(size.neck_depth_m < size.length_m, "neck_depth_m reaches below the bottom hem");
-  std::vector<Outline::Point> right{
-      {{body, 0.0}, "body_bottom"}, {armpit, "armpit"}, {sleeve_bottom, "sleeve_bottom"}, {sleeve_top, "sleeve_top"}};
+  std::vector<Outline::Point> right{{{body, 0.0}, "body_bottom"},
+                                    {armpit, "armpit"},
+                                    {sleeve_bottom, "sleeve_bottom", true, true},
+                                    {sleeve_top, "sleeve_top"}};
   // A bend in the shoulder line needs a corner; a straight line does not.
   if (std::abs(size.sleeve_angle_deg - size.shoulder_angle_deg) > 1.0) right.push_back({shoulder_point, "shoulder"});
-  right.push_back({{neck, size.length_m}, "collar"});
+  right.push_back({{neck, size.length_m}, "collar", true, true});
   constexpr int kCurve = 16;
   for (int k = 1; k <= kCurve; ++k) {
     const double angle = 90.0 * kDegree * k / kCurve;
     const bool last = k == kCurve;
     right.push_back({{last ? 0.0 : neck * std::cos(angle), size.length_m - size.neck_depth_m * std::sin(angle)},
                      last ? "collar" : "",
-                     last});
+                     last,
+                     true});
   }
-  return mirrored(right);
+  return mirrored(right, true);
 }
 
 ShirtSize long_sleeve_size() {
@@ -127,10 +135,11 @@ Outline trousers_outline(const TrousersSize& size) {
   require(size.gap_m > 0.0, "gap_m = 0: the legs would touch, must be greater than 0");
   const double inner = size.gap_m / 2.0;
   return mirrored({{{0.0, size.inseam_m}, "crotch"},
-                   {{inner, 0.0}, "hem_inner"},
+                   {{inner, 0.0}, "hem_inner", true, true},
                    {{inner + size.leg_width_m, 0.0}, "hem_outer"},
                    {{size.hip_m / 2.0, size.inseam_m}, "hip"},
-                   {{size.waist_m / 2.0, size.length_m}, "waist"}});
+                   {{size.waist_m / 2.0, size.length_m}, "waist", true, true}},
+                  false);
 }
 
 }  // namespace weft

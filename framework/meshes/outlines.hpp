@@ -5,7 +5,7 @@
 #include "weft/params.hpp"
 #include "weft/types.hpp"
 
-/// Outlines of flat, single-layer garments from their sizes.
+/// Outlines of flat garments from their sizes.
 /// x = left to right, y = bottom to top, centred in x; "left" is the side at negative x.
 namespace weft {
 
@@ -16,6 +16,7 @@ struct Outline {
     Vec2 at;                ///< m
     std::string name = "";  ///< of the vertex; empty: unnamed
     bool corner = true;
+    bool open = false;  ///< the side from here to the next point is an opening of a garment of two layers: no seam
   };
   std::vector<Point> points;
 };

@@ -96,6 +96,10 @@ void check_reset(const std::string& plugin, const Garment* garment, const Fabric
     throw ConfigError(plugin + ": scene.gravity is not vertical, must be: " +
                       "this simulator supports vertical gravity only (capability gravity_any_direction)");
   if (!capabilities.orthotropic) check_isotropic(plugin, fabric);
+  if (!capabilities.rest_frames && (garment->has_frames() || garment->form.seams.rows() > 0))
+    throw ConfigError(plugin + ": garment " + garment->name +
+                      " has rest frames or seams: this simulator needs one place in the plane for each vertex "
+                      "(capability rest_frames)");
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -150,13 +154,13 @@ void SimulatorBase::reset(std::shared_ptr<const Garment> garment, const Fabric& 
   for (const Index pin : scene_.pins) pinned_[pin] = 1;
   is_held_.assign(n, 0);
   set_held({});
-  positions_ = garment_->positions;
+  positions_ = scene.ground_height ? positions_on_ground(*garment_, *scene.ground_height, fabric.thickness_m)
+                                   : garment_->positions;
   velocities_ = scene_.initial_velocity.transpose().replicate(n, 1);
   for (Index i = 0; i < n; ++i) {
-    if (pinned_[i])
-      velocities_.row(i).setZero();
-    else
-      positions_(i, 2) = std::max(positions_(i, 2), floor_);
+    if (!pinned_[i]) continue;
+    velocities_.row(i).setZero();
+    positions_.row(i) = garment_->positions.row(i);
   }
   next_positions_ = positions_;
   next_velocities_ = velocities_;
@@ -268,7 +272,11 @@ void SimulatorBase::advance(const Positions& targets, double extra_drag) {
 double SimulatorBase::face_strain(Index face) const {
   const auto x = [&](int k) { return positions_.row(garment_->faces(face, k)); };
   const auto r = [&](int k) { return garment_->rest.row(garment_->faces(face, k)); };
-  const Eigen::RowVector2d u = r(1) - r(0), v = r(2) - r(0);
+  Eigen::RowVector2d u, v;
+  if (garment_->has_frames())
+    u = garment_->form.frames.row(face).head<2>(), v = garment_->form.frames.row(face).tail<2>();
+  else
+    u = r(1) - r(0), v = r(2) - r(0);
   const double det = u.x() * v.y() - u.y() * v.x();
   const Eigen::RowVector3d a = x(1) - x(0), b = x(2) - x(0);
   const Eigen::RowVector3d du = (v.y() * a - u.y() * b) / det, dv = (u.x() * b - v.x() * a) / det;

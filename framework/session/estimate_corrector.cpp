@@ -37,10 +37,11 @@ class EstimateCorrector::Search {
         if (seen.sees(v)) shape.vertices.push_back(v);
       if (!shape.vertices.empty()) shapes_.push_back(std::move(shape));
     }
-    const double noise = request.start_sigma / std::sqrt(static_cast<double>(vertices));
+    const LowestLayer lowest = lowest_layer(*owner.task_.garment, *request.start);
+    const double noise = request.start_sigma / std::sqrt(static_cast<double>(lowest.vertices));
     start_sigma_ = std::hypot(owner.params_.start_height_sigma_m, noise);
     has_start_ = owner.params_.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
-    start_height_ = request.start->col(2).mean();
+    start_height_ = lowest.height;
     bias_sigma_ = std::max(request.start_height_sigma, 1e-9);
   }
 
@@ -255,11 +256,8 @@ class EstimateCorrector::Search {
   }
   /// The start shape moves with the thickness.
   Positions flat(const MaterialProperties& q) const {
-    Positions shape = owner_.task_.garment->positions;
     const double ground = owner_.task_.scene.ground_height.value_or(0.0);
-    const double height = ground + thickness(q(kThickness));
-    shape.col(2) = shape.col(2).cwiseMax(height);
-    return shape;
+    return positions_on_ground(*owner_.task_.garment, ground, thickness(q(kThickness)));
   }
   double thickness(double q) const { return owner_.task_.material.ranges[kThickness].at(q); }
   double thickness_slope(double q) const {

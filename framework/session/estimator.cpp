@@ -70,8 +70,9 @@ class EstimationObjective final : public Objective {
     noise_share_ = information_ / n;
     has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
     if (has_start_height_) {
-      start_height_ = request.start->col(2).mean();
-      const double noise = request.start_sigma / std::sqrt(static_cast<double>(request.start->rows()));
+      const LowestLayer lowest = lowest_layer(*task.garment, *request.start);
+      start_height_ = lowest.height;
+      const double noise = request.start_sigma / std::sqrt(static_cast<double>(lowest.vertices));
       start_height_sigma_ = std::hypot(params.start_height_sigma_m, noise, request.start_height_sigma);
     }
   }

@@ -55,14 +55,19 @@ double seen_distance_mm(const Observation& seen, const Positions& shape) {
 
 std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen) {
   Positions expected = task.garment->positions;
-  double height = 0.0;
+  const Garment& garment = *task.garment;
+  double height = 0.0;  // of layer 0
   Index count = 0;
   for (Index v = 0; v < expected.rows(); ++v) {
-    if (!seen.sees(v)) continue;
+    if (!seen.sees(v) || garment.layer(v) > 0.0) continue;
     height += seen.positions(v, 2);
     ++count;
   }
-  if (count > 0) expected.col(2).setConstant(height / static_cast<double>(count));
+  if (count > 0) {
+    height /= static_cast<double>(count);
+    const double ground = task.scene.ground_height.value_or(0.0);
+    for (Index v = 0; v < expected.rows(); ++v) expected(v, 2) = height + garment.layer(v) * (height - ground);
+  }
   return filled(seen, expected);
 }
 

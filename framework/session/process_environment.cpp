@@ -44,23 +44,26 @@ json rows_of(const auto& matrix) {
 /// The first request: all that the process must know about the task.
 json greeting(const Task& task) {
   const auto& garment = *task.garment;
-  return {{"type", "hello"},
-          {"protocol", kProtocol},
-          {"version", ProcessEnvironment::kProtocolVersion},
-          {"garment",
-           {{"name", garment.name},
-            {"vertices", garment.vertex_count()},
-            {"positions_m", rows_of(garment.positions)},
-            {"rest_positions_m", rows_of(garment.rest)},
-            {"faces", rows_of(garment.faces)}}},
-          {"grasp_vertices", task.manipulation.grasp_vertices},
-          {"grasp_points_m", rows_of(task.manipulation.grasp_points)},
-          {"frame_s", kFrameSeconds},
-          {"frames_per_segment", kFramesPerSegment},
-          {"settle",
-           {{"speed_m_per_s", task.settle.speed},
-            {"hold_s", task.settle.hold_frames * kFrameSeconds},
-            {"timeout_s", task.settle.max_frames * kFrameSeconds}}}};
+  json hello{{"type", "hello"},
+             {"protocol", kProtocol},
+             {"version", ProcessEnvironment::kProtocolVersion},
+             {"garment",
+              {{"name", garment.name},
+               {"vertices", garment.vertex_count()},
+               {"positions_m", rows_of(garment.positions)},
+               {"rest_positions_m", rows_of(garment.rest)},
+               {"faces", rows_of(garment.faces)}}},
+             {"grasp_vertices", task.manipulation.grasp_vertices},
+             {"grasp_points_m", rows_of(task.manipulation.grasp_points)},
+             {"frame_s", kFrameSeconds},
+             {"frames_per_segment", kFramesPerSegment},
+             {"settle",
+              {{"speed_m_per_s", task.settle.speed},
+               {"hold_s", task.settle.hold_frames * kFrameSeconds},
+               {"timeout_s", task.settle.max_frames * kFrameSeconds}}}};
+  if (garment.has_frames()) hello["garment"]["rest_frames_m"] = rows_of(garment.form.frames);
+  if (!garment.form.layers.empty()) hello["garment"]["layers"] = garment.form.layers;
+  return hello;
 }
 
 }  // namespace

@@ -7,7 +7,10 @@ namespace weft {
 namespace {
 
 void require_same_garment(const SessionRecord& recorded, const Garment& garment) {
-  if (recorded.rest.rows() != garment.rest.rows() || recorded.rest != garment.rest || recorded.faces != garment.faces)
+  const auto equal = [](const auto& a, const auto& b) { return a.rows() == b.rows() && a == b; };
+  if (!equal(recorded.rest, garment.rest) || !equal(recorded.faces, garment.faces) ||
+      !equal(recorded.form.frames, garment.form.frames) || recorded.form.layers != garment.form.layers ||
+      !equal(recorded.form.seams, garment.form.seams))
     throw ConfigError("the session was recorded with another garment (" + recorded.garment_name + ")");
 }
 

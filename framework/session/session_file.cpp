@@ -4,6 +4,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "sdk/garment_arrays.hpp"
 #include "sdk/json_text.hpp"
 #include "session/search_end.hpp"
 #include "session/session.hpp"
@@ -43,6 +44,7 @@ class Reader {
     return Eigen::Map<const Controls>(values.data(), dims[0], dims[1]);
   }
   Positions all_positions(const std::string& path) const { return file_.read_positions(path); }
+  GarmentForm garment_form(Index vertices) const { return read_garment_form(file_, name_, vertices); }
   Positions positions(const std::string& path, Index vertices) const {
     Positions result = file_.read_positions(path);
     if (result.rows() != vertices) {
@@ -72,6 +74,10 @@ class Reader {
   std::string name_;
   Hdf5File file_;
 };
+
+constexpr const char* kSessionSchema = "weft session 1";
+/// Of garments with rest frames or layers.
+constexpr const char* kSessionSchemaOfForms = "weft session 2";
 
 /// Checks what pages and exports take from the texts.
 void check_texts(const Reader& in, const SessionRecord& record) {
@@ -356,15 +362,16 @@ std::string session_times_json(const SessionResult& result) {
 void write_session(const std::filesystem::path& path, const SessionResult& result, const Task& task,
                    const ConfigNode& resolved, const std::string& provenance) {
   auto file = Hdf5File::create(path);
-  file.write("/schema", std::string("weft session 1"));
+  const auto& garment = *task.garment;
+  file.write("/schema", std::string(garment.form.empty() ? kSessionSchema : kSessionSchemaOfForms));
   file.write("/config", resolved.to_yaml());
   file.write("/provenance", provenance);
   file.write("/summary", session_summary_json(result));
-  const auto& garment = *task.garment;
   file.write("/garment/name", garment.name);
   file.write("/garment/hash", std::to_string(garment.hash));
   file.write("/garment/rest", garment.rest);
   file.write("/garment/faces", WideFaces(garment.faces.cast<std::int64_t>()));
+  write_garment_form(file, garment.form);
   const std::vector<std::int64_t> held(task.manipulation.grasp_vertices.begin(),
                                        task.manipulation.grasp_vertices.end());
   file.write("/garment/grasp_vertices", {static_cast<Index>(held.size())}, held.data());
@@ -399,8 +406,8 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
 
 SessionRecord read_session(const std::filesystem::path& path) {
   const Reader in(path);
-  if (!in.has("/schema") || in.text("/schema") != "weft session 1")
-    in.fail("/schema", "must be 'weft session 1': this is not a recorded session");
+  if (!in.has("/schema") || (in.text("/schema") != kSessionSchema && in.text("/schema") != kSessionSchemaOfForms))
+    in.fail("/schema", "must be 'weft session 1' or 'weft session 2': this is not a recorded session");
   SessionRecord record;
   record.config = in.text("/config");
   record.provenance = in.text("/provenance");
@@ -421,6 +428,9 @@ SessionRecord read_session(const std::filesystem::path& path) {
   const auto corners = checked("/garment/faces", in.integers("/garment/faces"));
   if (corners.size() % 3 != 0) in.fail("/garment/faces", "must have the shape [n, 3]");
   record.faces = Eigen::Map<const WideFaces>(corners.data(), corners.size() / 3, 3).cast<int>();
+  record.form = in.garment_form(vertices);
+  if (record.form.frames.rows() != 0 && record.form.frames.rows() != record.faces.rows())
+    in.fail("/garment/frames", "must have the shape [faces, 2, 2]");
   const auto held = checked("/garment/grasp_vertices", in.integers("/garment/grasp_vertices"));
   record.grasp_vertices.assign(held.begin(), held.end());
   record.start = in.positions("/start", vertices);

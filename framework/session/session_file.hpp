@@ -37,6 +37,7 @@ struct SessionRecord {
   std::string garment_name;
   Faces faces;
   RestPositions rest;
+  GarmentForm form;  ///< of schema 2; empty for garments of one chart and one layer
   std::vector<Index> grasp_vertices;
   Positions start, default_shape, final_shape;  ///< [V, 3] m
   bool has_correspondence = true;               ///< whether the goal's vertices are the garment's

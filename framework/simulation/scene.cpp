@@ -5,6 +5,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "meshes/garment_writer.hpp"
 #include "meshes/intersections.hpp"
 #include "simulation/simulator_warnings.hpp"
 
@@ -337,7 +338,8 @@ ConfigNode write_scene(const SceneRun& run, const std::string& garment_file) {
   }
   return ConfigNode::mapping(
       {{"simulator", run.simulator},
-       {"garment", ConfigNode::quoted(garment_file)},
+       {"garment",
+        run.garment->form.empty() ? ConfigNode::quoted(garment_file) : garment_node(garment_file, *run.garment)},
        {"fabric", write_fabric(run.fabric)},
        {"gravity_m_per_s2", vector_node(run.scene.gravity)},
        {"ground", run.scene.ground_height
@@ -369,6 +371,7 @@ void check_scene(const SceneRun& run, Host& host) { simulator_at_start(run, host
 SceneResult run_scene(const SceneRun& run, Host& host, const SceneObserver& observer) {
   const auto simulator = simulator_at_start(run, host);
   SceneResult result;
+  result.warnings = garment_warnings(*run.garment);
   const auto look = [&](Index frame) {
     const SimulatorDiagnostics diagnostics = simulator->diagnostics();
     result.max_speed = diagnostics.max_speed;

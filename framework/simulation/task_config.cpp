@@ -54,6 +54,7 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
 }
 
 void check_simulator(const ConfigNode& slot, const Task& task, Host& host) {
+  for (const auto& warning : garment_warnings(*task.garment)) host.log(LogLevel::warning, warning);
   const auto simulator = host.create<Simulator>(slot);
   const Fabric fabric = task.material.at(MaterialProperties::Constant(0.5));
   simulator->reset(task.garment, fabric, task.scene);

@@ -188,23 +188,96 @@ TEST(Program, ImportsAGarmentWithATaskThatFolds) {
   EXPECT_THAT(wrong.output, HasSubstr("has only 49 vertices"));
 }
 
-TEST(Program, AnImportThatCannotBeFoldedSaysSoAndExitsWithOne) {
-  const Folder folder;
-  std::string tube;
-  for (int j = 0; j < 2; ++j) {
-    for (const char* corner : {"0 0", "0.3 0", "0.3 0.3", "0 0.3"})
-      tube += "v " + std::string(corner) + (j ? " 0.4\n" : " 0\n");
+/// A tube that stands, 0.2 m wide and 0.3 m high.
+std::string standing_tube() {
+  std::string vertices, faces;
+  constexpr int around = 16, along = 8;
+  for (int j = 0; j <= along; ++j) {
+    for (int i = 0; i < around; ++i) {
+      const double angle = 2.0 * M_PI * i / around;
+      vertices += "v " + std::to_string(0.1 * std::cos(angle)) + ' ' + std::to_string(0.08 * std::sin(angle)) + ' ' +
+                  std::to_string(0.3 * j / along) + '\n';
+    }
   }
-  tube += "f 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
-  const std::string file = folder.write("tube.obj", tube).string();
+  for (int j = 0; j < along; ++j) {
+    for (int i = 0; i < around; ++i) {
+      const int a = j * around + i + 1, b = j * around + (i + 1) % around + 1;
+      faces += 'f';
+      for (const int v : {a, b, b + around, a + around}) faces += ' ' + std::to_string(v);
+      faces += '\n';
+    }
+  }
+  return vertices + faces;
+}
+
+TEST(Program, LaysAGarmentThatIsDrawnAsItIsWornAndFoldsIt) {
+  const Folder folder;
+  const std::string file = folder.write("tube.obj", standing_tube()).string(), out = (folder / "out").string();
   const Outcome import =
-      weft_command("garment import '" + file + "' --fill 0 --out '" + (folder / "out").string() + "'");
-  EXPECT_EQ(import.code, 1);
-  EXPECT_THAT(import.output,
-              AllOf(HasSubstr("error: imported, but weft cannot fold it yet, so there is no task: not flat"),
-                    HasSubstr("a surface with 2 open boundaries")));
-  EXPECT_TRUE(std::filesystem::exists(folder / "out/tube.obj"));
-  EXPECT_FALSE(std::filesystem::exists(folder / "out/tube_fold.yaml"));
+      weft_command("garment import '" + file + "' --up z --no-tuning --json --out '" + out + "' 2>/dev/null");
+  ASSERT_EQ(import.code, 0) << import.output;
+  const auto json = nlohmann::json::parse(import.output);
+  EXPECT_TRUE(json.at("foldable"));
+  EXPECT_EQ(json.at("grasp"), nlohmann::json({"left_top", "left_bottom"}));
+  for (const auto& name : json.at("files"))
+    EXPECT_TRUE(std::filesystem::exists(folder / "out" / std::string(name))) << name;
+  EXPECT_TRUE(std::filesystem::exists(folder / "out/tube_rest.obj"));
+  EXPECT_THAT(text_of(folder / "out/tube.yaml"), AllOf(HasSubstr("from: file"), HasSubstr("bend: true")));
+  const Outcome run = weft_command("run '" + out +
+                                   "/tube_fold.yaml' --seed 1 --set planning.instances=1 --set planning.iterations=1 "
+                                   "--set planning.replan_iterations=0 --set settle.max_frames=30 --out '" +
+                                   out + "/run'");
+  EXPECT_EQ(run.code, 0) << run.output;
+  const Outcome fold = weft_command("garment fold '" + out + "/tube_fold.yaml' --json 2>/dev/null");
+  EXPECT_EQ(fold.code, 0) << fold.output;
+  const auto folded = nlohmann::json::parse(fold.output);
+  EXPECT_EQ(folded.at("crossings"), 0);
+  EXPECT_TRUE(folded.at("released"));
+  EXPECT_LT(folded.at("width_share"), 0.75);
+  // What was saved is the same garment: a plan of the recorded session accepts it.
+  EXPECT_EQ(
+      weft_command("plan '" + out + "/run/config.yaml' --session '" + out + "/run/session.h5' --out '" + out + "/plan'")
+          .code,
+      0);
+  // The result is imported without a change.
+  const Outcome again = weft_command("garment import '" + out + "/tube.yaml' --no-tuning --out '" + out + "/again'");
+  EXPECT_EQ(again.code, 0) << again.output;
+  EXPECT_EQ(text_of(folder / "out/again/tube.obj"), text_of(folder / "out/tube.obj"));
+  EXPECT_EQ(text_of(folder / "out/again/tube_rest.obj"), text_of(folder / "out/tube_rest.obj"));
+
+  const Outcome standing = weft_command("garment import '" + file + "' --up z --no-lay --out '" + out + "/standing'");
+  EXPECT_EQ(standing.code, 0) << standing.output;
+  EXPECT_THAT(standing.output, HasSubstr("to lay it: weft garment lay"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "out/standing/tube_fold.yaml"));
+  const Outcome laid =
+      weft_command("garment lay '" + out + "/standing/tube.yaml' --json --out '" + out + "/laid' 2>/dev/null");
+  ASSERT_EQ(laid.code, 0) << laid.output;
+  const auto facts = nlohmann::json::parse(laid.output);
+  EXPECT_EQ(facts.at("crossings"), 0);
+  EXPECT_LT(facts.at("height_m"), 0.03) << "it was 0.16 m high on its back";
+  EXPECT_LT(facts.at("median_strain"), 0.02);
+}
+
+TEST(Program, MakesGarmentsOfTwoLayers) {
+  const Folder folder;
+  const std::string shirt = (folder / "shirt.obj").string();
+  const Outcome made = weft_command("garment tshirt --two-layers --edge 0.05 --out '" + shirt + "'");
+  ASSERT_EQ(made.code, 0) << made.output;
+  EXPECT_THAT(text_of(folder / "shirt.yaml"),
+              AllOf(HasSubstr("from: mesh"), HasSubstr("layers: sides"), HasSubstr("back_collar")));
+  folder.write(
+      "scene.yaml",
+      "garment: shirt.yaml\nfabric: {density_kg_per_m2: 0.15, stretch_n_per_m: {warp: 110, weft: 165, shear: 55}, bend_n_m: {warp: 2.0e-5, weft: 2.0e-5}, thickness_m: 0.002}\nduration_s: 0.2\n");
+  const std::string out = (folder / "out").string();
+  const Outcome run = weft_command("simulate '" + (folder / "scene.yaml").string() + "' --out '" + out + "'");
+  ASSERT_EQ(run.code, 0) << run.output;
+  const auto summary = nlohmann::json::parse(text_of(folder / "out/summary.json"));
+  EXPECT_EQ(summary.at("intersections"), 0);
+  EXPECT_NEAR(summary.at("max_z_m"), 0.004, 4e-4) << "the front lies on the back";
+  // The saved scene gives the same bits.
+  const Outcome again = weft_command("simulate '" + out + "/config.yaml' --out '" + out + "/again'");
+  ASSERT_EQ(again.code, 0) << again.output;
+  EXPECT_EQ(text_of(folder / "out/again/summary.json"), text_of(folder / "out/summary.json"));
 }
 
 TEST(Program, ABadConfigExitsWithTwoBeforeAnyWork) {

@@ -101,7 +101,7 @@ double area_of(const ImportedGarment& garment) {
 
 TEST(Import, ASoundFlatMeshIsLeftAsItIs) {
   const auto garment = import_text(grid(4, 0.6, flat).text());
-  EXPECT_TRUE(garment.foldable());
+  EXPECT_TRUE(garment.is_flat());
   for (const Finding& finding : garment.findings) EXPECT_NE(finding.kind, FindingKind::mended) << finding.text;
   ASSERT_EQ(garment.mesh.positions.rows(), 25);
   EXPECT_EQ(garment.mesh.rest, garment.mesh.positions.leftCols<2>());
@@ -122,7 +122,7 @@ TEST(Import, CutsPolygonsIntoTriangles) {
   EXPECT_THAT(found(garment, "triangulate"), HasSubstr("mended 2: 1 quad and 1 larger polygon"));
   EXPECT_EQ(garment.mesh.faces.rows(), 6);
   EXPECT_NEAR(area_of(garment), 0.36, 1e-9);
-  EXPECT_TRUE(garment.foldable());
+  EXPECT_TRUE(garment.is_flat());
   EXPECT_THAT(message_of<ConfigError>([] { import_text("v 0 0 0\nv 1 1 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 4\n"); }),
               AllOf(HasSubstr("mesh.obj:5: face 1 crosses itself"), HasSubstr("cut it up")));
 }
@@ -195,7 +195,12 @@ TEST(Import, DoesNotSewTouchingLayersTogether) {
   const auto garment = import_text(mesh.text());
   EXPECT_EQ(garment.mesh.positions.rows(), 32);
   EXPECT_THAT(found(garment, "weld"), HasSubstr("warning 4: 4 vertices inside the cloth coincide with others"));
-  EXPECT_THAT(found(garment, "pieces"), AllOf(HasSubstr("warning 2: 2 pieces"), HasSubstr("lie over each other")));
+  EXPECT_THAT(found(garment, "pieces"), HasSubstr("warning 2: 2 pieces"));
+  // The second lies two layers above the first.
+  EXPECT_THAT(found(garment, "layers"), HasSubstr("the cloth lies in layers 0 to 2"));
+  EXPECT_EQ(garment.layers.front(), 0.0);
+  EXPECT_EQ(garment.layers.back(), 2.0);
+  EXPECT_EQ(garment.garment("two").form.seams.rows(), 0);
 }
 
 TEST(Import, SaysWhereASeamIsAlmostClosed) {
@@ -274,7 +279,7 @@ TEST(Import, SplitsBowTiesAndCutsEdgesOfThreeFaces) {
   ImportOptions options;
   options.piece = 1;
   const auto sheet = import_text(fin.text(), options);
-  EXPECT_TRUE(sheet.foldable());
+  EXPECT_TRUE(sheet.is_flat());
   EXPECT_EQ(sheet.mesh.positions.rows(), 25);
   options.piece = 3;
   EXPECT_THAT(message_of<ConfigError>([&] { import_text(fin.text(), options); }),
@@ -286,11 +291,11 @@ TEST(Import, TurnsFacesToOneSideAndRefusesAMoebiusStrip) {
   mesh.faces = "f 1 6 2\n" + mesh.faces.substr(mesh.faces.find('\n') + 1);
   const auto garment = import_text(mesh.text());
   EXPECT_THAT(found(garment, "orientation"), HasSubstr("mended 1: 1 face turned"));
-  EXPECT_TRUE(garment.foldable());
+  EXPECT_TRUE(garment.is_flat());
   // Seen from below.
   const auto below = import_text(grid(3, 0.6, [](double x, double y) { return Vec3(-x, y, 0.0); }).text());
   EXPECT_THAT(found(below, "orientation"), HasSubstr("mended 18: 18 faces turned to be counter-clockwise"));
-  EXPECT_TRUE(below.foldable());
+  EXPECT_TRUE(below.is_flat());
 
   Text strip;
   const int n = 12;
@@ -351,7 +356,7 @@ TEST(Import, ReadsWhatEditorsAddToText) {
 TEST(Import, LaysNoisyAndTiltedSheetsFlat) {
   const auto noisy = import_text(
       grid(4, 0.6, [](double x, double y) { return Vec3(x, y, 0.7 + 1e-5 * std::sin(40 * x * y)); }).text());
-  EXPECT_TRUE(noisy.foldable());
+  EXPECT_TRUE(noisy.is_flat());
   EXPECT_THAT(found(noisy, "flat"), HasSubstr("mended 1: flat within"));
   EXPECT_EQ(noisy.mesh.positions.col(2).cwiseAbs().maxCoeff(), 0.0);
   const auto tilted =
@@ -360,13 +365,13 @@ TEST(Import, LaysNoisyAndTiltedSheetsFlat) {
         options.up = "z";
         return options;
       }());
-  EXPECT_TRUE(tilted.foldable());
+  EXPECT_TRUE(tilted.is_flat());
   EXPECT_THAT(found(tilted, "flat"), HasSubstr("turned by 37 degrees"));
   EXPECT_NEAR(area_of(tilted), 0.36, 1e-6);
   // Beyond the bound of 1e-4 it is a shape.
   EXPECT_FALSE(
       import_text(grid(4, 0.6, [](double x, double y) { return Vec3(x, y, 3e-4 * std::sin(40 * x * y)); }).text())
-          .foldable());
+          .is_flat());
 }
 
 /// A sheet bent to a quarter of a tube, with vt.
@@ -398,14 +403,14 @@ std::string bent(double texture_scale, double stretch) {
 
 TEST(Import, LaysABentSheetFlatByATextureOfItsSize) {
   const auto garment = import_text(bent(1.0, 1.0));
-  EXPECT_TRUE(garment.foldable());
+  EXPECT_TRUE(garment.is_flat());
   EXPECT_THAT(found(garment, "rest shape"),
               AllOf(HasSubstr("mended 1: from the texture, at 0."), HasSubstr("laid flat")));
   EXPECT_EQ(garment.mesh.positions.col(2).cwiseAbs().maxCoeff(), 0.0);
   EXPECT_NEAR(area_of(garment), 0.36, 0.36 * 0.01);  // chords of the arc
   // A texture that is stretched one way says nothing of size.
   const auto other = import_text(bent(1.0, 1.5));
-  EXPECT_FALSE(other.foldable());
+  EXPECT_FALSE(other.is_flat());
   EXPECT_THAT(found(other, "texture"), HasSubstr("has nothing to do with size and is ignored"));
   EXPECT_THAT(found(other, "rest shape"), AllOf(HasSubstr("limit 1: not flat"), HasSubstr("an open sheet"),
                                                 HasSubstr("weft does not support yet")));
@@ -443,14 +448,16 @@ TEST(Import, TexturesOfFlatMeshesAreTakenOnlyInMetres) {
   EXPECT_THAT(found(import_text(one_point), "rest shape"), HasSubstr("one point: ignored"));
 }
 
-TEST(Import, SaysWhatAClosedGarmentNeeds) {
+TEST(Import, KeepsTheLengthsOfAClosedGarmentAndSaysThatItMustBeLaid) {
   const auto garment = import_text(tube(12, 0.2, 0.5));
-  EXPECT_FALSE(garment.foldable());
+  EXPECT_FALSE(garment.is_flat());
   EXPECT_THAT(found(garment, "up"), HasSubstr("guessed up axis z: its 2 openings look along it (100 %"));
   EXPECT_THAT(found(garment, "rest shape"),
-              AllOf(HasSubstr("limit 1: not flat (0.5 m high, a surface with 2 open boundaries"), HasSubstr("frames")));
+              AllOf(HasSubstr("fact 1: not flat (0.5 m high, a surface with 2 open boundaries"),
+                    HasSubstr("laid on the table by simulation")));
   EXPECT_THAT(found(garment, "orientation"), HasSubstr("all faces turned to look outwards"));
   EXPECT_TRUE(garment.grasp.empty());
+  EXPECT_EQ(garment.garment("tube").form.frames.rows(), garment.mesh.faces.rows());
   // Front and back of a flat pattern, joined at one side.
   Text folded = grid(3, 0.6, flat);
   const int first = folded.count;
@@ -464,7 +471,13 @@ TEST(Import, SaysWhatAClosedGarmentNeeds) {
       folded.f({at(i, j), at(i, j + 1), at(i + 1, j + 1)});
     }
   }
-  EXPECT_THAT(found(import_text(folded.text()), "rest shape"), HasSubstr("lie upside down, so it has layers"));
+  const auto two = import_text(folded.text());
+  EXPECT_THAT(found(two, "rest shape"), HasSubstr("18 faces of the flat mesh look down"));
+  EXPECT_THAT(found(two, "layers"), HasSubstr("layers 0 to 1"));
+  EXPECT_TRUE(two.is_flat());
+  EXPECT_EQ(two.garment("two").form.seams.rows(), 3);
+  EXPECT_EQ(two.layers.at(0), 1.0) << "the front";
+  EXPECT_EQ(two.layers.at(3), 0.0) << "the seam";
 }
 
 TEST(Import, AGarmentThatEndsInAPointIsHeldAtAnotherSide) {

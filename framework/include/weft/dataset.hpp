@@ -70,6 +70,7 @@ struct DatasetHeader {
   std::uint64_t seed = 0;
   std::string garment_name;
   std::uint64_t garment_hash = 0;
+  GarmentForm garment_form;  ///< empty for garments of one chart and one layer
   Index vertices = 0, controls = 0, states = 0, hands = 0;
   std::int64_t shard_examples = 1;  ///< example i belongs in file i / shard_examples
   std::vector<std::string> control_names, state_names;

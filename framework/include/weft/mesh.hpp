@@ -22,6 +22,6 @@ WEFT_API Mesh read_obj(const std::filesystem::path& path);
 WEFT_API void write_obj(const std::filesystem::path& path, const Mesh& mesh, bool exact = false);
 
 /// Edges of the faces, each once, [E, 2] with first < second, sorted.
-WEFT_API Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_of(const Faces& faces);
+WEFT_API Edges edges_of(const Faces& faces);
 
 }  // namespace weft

@@ -51,8 +51,9 @@ class WEFT_API SimulatorSnapshot {
   virtual ~SimulatorSnapshot() = default;
 };
 
-/// What a simulator can do. check_reset() refuses a scene or fabric that needs `pins`, `orthotropic` or
-/// `gravity_any_direction` if the simulator does not declare it. So every command reports this in the same words.
+/// What a simulator can do. check_reset() refuses a scene, fabric or garment that needs `pins`, `orthotropic`,
+/// `gravity_any_direction` or `rest_frames` if the simulator does not declare it. So every command reports this in the
+/// same words.
 struct SimulatorCapabilities {
   bool snapshots = false;        ///< save() / restore()
   bool self_contact = false;     ///< layers keep `thickness_m` apart
@@ -60,6 +61,8 @@ struct SimulatorCapabilities {
   bool pins = false;             ///< honours Scene::pins
   bool orthotropic = false;      ///< honours warp != weft, in stretching and in bending, and Fabric::tables
   bool gravity_any_direction = true;
+  /// Honours GarmentForm::frames and GarmentForm::seams. The form's layers concern all simulators: positions_on_ground().
+  bool rest_frames = false;
 };
 
 /// Simulates one piece of cloth. Call order: reset, then any of the others. One thread at a time uses an object. Many
@@ -68,7 +71,7 @@ struct SimulatorCapabilities {
 class WEFT_API Simulator {
  public:
   static constexpr const char* kKind = "simulator";
-  static constexpr int kVersion = 2;  // bump on any change to this file
+  static constexpr int kVersion = 3;  // bump on any change to this file
   static constexpr TypeSize kCrossing[] = {{"Garment", sizeof(Garment)},
                                            {"Fabric", sizeof(Fabric)},
                                            {"Scene", sizeof(Scene)},
@@ -82,7 +85,7 @@ class WEFT_API Simulator {
   virtual SimulatorCapabilities capabilities() const = 0;
 
   /// Puts the garment's initial positions into the scene, at scene.initial_velocity, nothing grasped, frame 0.
-  /// Vertices below contact height (ground + thickness) are lifted to it, except pinned ones.
+  /// On a ground, vertices that are not pinned start at positions_on_ground().
   /// @throws ConfigError for a fabric or scene that the plugin cannot honour.
   virtual void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) = 0;
 
@@ -181,7 +184,7 @@ class WEFT_API SimulatorBase : public Simulator {
   /// set_state() or restore() replaced positions(), velocities() and held(). Drop all history here.
   virtual void state_changed() {}
 
-  /// Largest |principal stretch - 1| of a face at positions().
+  /// Largest |principal stretch - 1| of a face at positions(), against its rest shape.
   virtual double face_strain(Index face) const;
   /// Adds contacts and warnings, which the base cannot know, to the diagnostics.
   virtual void add_diagnostics(SimulatorDiagnostics& /*diagnostics*/) const {}

@@ -19,6 +19,10 @@ using ConstMatrix = Eigen::Ref<const Matrix>;
 using Positions = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 /// [n, 2] m, row per vertex: rest coordinates, x = warp, y = weft.
 using RestPositions = Eigen::Matrix<double, Eigen::Dynamic, 2, Eigen::RowMajor>;
+/// [f, 4] m, row per face: its rest frame [2, 2]. The edges from corner 0 to corners 1 and 2, each as (warp, weft).
+using RestFrames = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::RowMajor>;
+/// [e, 2] vertex indices, first < second.
+using Edges = Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor>;
 /// [f, 3] vertex indices, counter-clockwise seen from above in the rest shape.
 using Faces = Eigen::Matrix<int, Eigen::Dynamic, 3, Eigen::RowMajor>;
 /// Row-major: one row per segment, per frame, ...

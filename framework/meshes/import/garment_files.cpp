@@ -6,6 +6,7 @@
 #include <fstream>
 #include <iterator>
 
+#include "meshes/garment_writer.hpp"
 #include "meshes/import/mesh_file.hpp"
 #include "meshes/plane.hpp"
 #include "sdk/files.hpp"
@@ -13,26 +14,60 @@
 
 namespace weft {
 
-void write_garment_files(const std::filesystem::path& folder, const std::string& name, const ImportedGarment& garment,
-                         const std::string& command) {
-  const auto mesh_file = folder / (name + ".obj");
-  write_obj(mesh_file, garment.mesh);
+namespace {
+
+/// Whether the layers are those of `layers: sides`.
+bool are_sides(const ImportedGarment& garment) {
+  if (garment.form != RestForm::two_sides) return false;
+  std::vector<double> sides(garment.layers.size(), 1.0);
+  for (Index f = 0; f < garment.mesh.faces.rows(); ++f) {
+    const auto at = [&](Index k) -> Vec2 { return garment.mesh.positions.row(garment.mesh.faces(f, k)).head<2>(); };
+    if (cross(at(1) - at(0), at(2) - at(0)) > 0.0) continue;
+    for (Index k = 0; k < 3; ++k) sides[static_cast<std::size_t>(garment.mesh.faces(f, k))] = 0.0;
+  }
+  return sides == garment.layers;
+}
+
+void write_commented(const std::filesystem::path& mesh_file) {
   std::ifstream stream(mesh_file, std::ios::binary);
   const std::string mesh_text{std::istreambuf_iterator<char>(stream), {}};
   if (!stream) throw Error(mesh_file.string() + ": cannot be read");
   write_text(mesh_file, "#" + std::string(kImportedComment) + "\n" + mesh_text);
+}
 
+}  // namespace
+
+void write_garment_files(const std::filesystem::path& folder, const std::string& name, const ImportedGarment& garment,
+                         const std::string& command) {
+  const auto mesh_file = folder / (name + ".obj");
+  const std::string made_by = "# Made by: " + command + "\n";
+  if (garment.kept) {
+    const Garment whole = garment.garment(name);
+    write_garment_meshes(mesh_file, whole);
+    write_commented(mesh_file);
+    write_text(folder / (name + ".yaml"), made_by + garment_node(name + ".obj", whole).to_yaml());
+    return;
+  }
+  write_obj(mesh_file, garment.mesh);
+  write_commented(mesh_file);
   std::vector<std::pair<std::string, ConfigNode>> entries{{"name", ConfigNode::scalar(name)},
                                                           {"mesh", ConfigNode::scalar(name + ".obj")}};
+  if (garment.form != RestForm::chart)
+    entries.emplace_back("rest", ConfigNode::mapping({{"from", ConfigNode::scalar("mesh")}}));
+  if (are_sides(garment)) {
+    entries.emplace_back("layers", ConfigNode::scalar("sides"));
+  } else if (!garment.layers.empty()) {
+    std::vector<ConfigNode> layers;
+    for (const double layer : garment.layers) layers.push_back(ConfigNode::number(layer));
+    entries.emplace_back("layers", ConfigNode::sequence(std::move(layers)));
+  }
   if (!garment.vertices.empty()) {
     std::vector<std::pair<std::string, ConfigNode>> vertices;
     for (const auto& [vertex, index] : garment.vertices) vertices.emplace_back(vertex, ConfigNode::integer(index));
     entries.emplace_back("vertices", ConfigNode::mapping(std::move(vertices)));
   }
-  std::string text = "# Made by: " + command + "\n";
-  for (const Finding& finding : garment.findings) {
-    if (finding.kind == FindingKind::limit) text += "# weft cannot fold it yet: " + finding.text + "\n";
-  }
+  std::string text = made_by;
+  if (garment.form == RestForm::worn) text += "# It stands as it was drawn: `weft garment lay` lays it on the table.\n";
   write_text(folder / (name + ".yaml"), text + ConfigNode::mapping(std::move(entries)).to_yaml());
 }
 

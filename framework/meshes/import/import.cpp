@@ -13,6 +13,7 @@
 #include "meshes/import/triangulate.hpp"
 #include "meshes/import/weld.hpp"
 #include "weft/config.hpp"
+#include "weft/rest_shape.hpp"
 
 namespace weft {
 namespace {
@@ -21,14 +22,17 @@ struct Input {
   std::filesystem::path mesh;
   std::map<std::string, Index> vertices;
   bool is_garment = false;
+  bool is_finished = false;  ///< it has layers, or a rest shape in another file: nothing of it is guessed again
 };
 
 /// The mesh file and its names: of the YAML of a garment, or of the mesh alone.
 Input input_of(const std::filesystem::path& path) {
-  if (path.extension() != ".yaml" && path.extension() != ".yml") return {path, {}, false};
+  if (path.extension() != ".yaml" && path.extension() != ".yml") return {path, {}, false, false};
   const ConfigNode node = ConfigNode::load(path);
-  node.refuse_unknown_keys({"mesh", "name", "vertices"});
-  Input input{node.at("mesh").as_path(), {}, true};
+  node.refuse_unknown_keys({"mesh", "name", "vertices", "rest", "layers", "seams"});
+  Input input{node.at("mesh").as_path(), {}, true, false};
+  const auto rest = node.find("rest"), layers = node.find("layers");
+  input.is_finished = (rest && rest->at("from").as_string() != "mesh") || (layers && layers->is_sequence());
   if (const auto named = node.find("vertices")) {
     for (const std::string& key : named->keys()) input.vertices[key] = named->at(key).as_int();
   }
@@ -78,14 +82,14 @@ std::vector<std::string> outermost_side(const ImportMesh& mesh, std::map<std::st
 }
 
 std::map<std::string, int> resolve_names(const ImportMesh& mesh, const Input& input, const ImportOptions& options,
-                                         bool foldable, std::vector<std::string>& grasp, Findings& findings) {
+                                         bool flat, std::vector<std::string>& grasp, Findings& findings) {
   std::map<std::string, int> names;
   for (const auto& [name, index] : input.vertices) {
     const VertexSpec spec{std::to_string(index + 1), static_cast<int>(index) + 1};
     names[name] = find_vertex(mesh, "vertices." + name + " (from 1)", spec);
   }
   for (const auto& [name, spec] : options.names) names[name] = find_vertex(mesh, "--name " + name, spec);
-  if (foldable) {
+  if (flat) {
     for (const auto& [name, v] : outermost_vertices(mesh)) {
       if (name_of(names, v).empty()) names.emplace(name, v);
     }
@@ -112,7 +116,7 @@ std::map<std::string, int> resolve_names(const ImportMesh& mesh, const Input& in
   if (grasp.size() == 2 && names.at(grasp[0]) == names.at(grasp[1])) {
     throw ConfigError("--grasp: both hands hold the same vertex, " + grasp[0]);
   }
-  if (!foldable) grasp.clear();
+  if (!flat) grasp.clear();
   if (!names.empty()) {
     std::string text = counted(static_cast<std::int64_t>(names.size()), "named vertex", "named vertices") + ": ";
     std::vector<Place> places;
@@ -166,16 +170,93 @@ void say_edges(const ImportMesh& mesh, Findings& findings) {
   findings.push_back(finding);
 }
 
+ImportMesh import_mesh_of(const Mesh& from) {
+  ImportMesh mesh;
+  mesh.source = from.source;
+  for (Index v = 0; v < from.positions.rows(); ++v) {
+    mesh.positions.emplace_back(from.positions.row(v).transpose());
+    mesh.vertex_number.push_back(static_cast<int>(v) + 1);
+    mesh.vertex_of.push_back(static_cast<int>(v));
+  }
+  for (Index f = 0; f < from.faces.rows(); ++f) {
+    mesh.faces.push_back({from.faces(f, 0), from.faces(f, 1), from.faces(f, 2)});
+    mesh.face_texture.push_back({-1, -1, -1});
+    mesh.face_number.push_back(static_cast<int>(f) + 1);
+  }
+  return mesh;
+}
+
 }  // namespace
 
-bool ImportedGarment::foldable() const {
-  return std::none_of(findings.begin(), findings.end(), [](const Finding& f) { return f.kind == FindingKind::limit; });
+Garment ImportedGarment::garment(const std::string& name) const {
+  if (kept) {
+    Garment garment = *kept;
+    garment.name = name;
+    return garment;
+  }
+  GarmentForm given;
+  given.layers = layers;
+  if (form != RestForm::chart) given.frames = frames_of_shape(mesh.positions, mesh.faces, usual_grain(mesh.positions));
+  if (!layers.empty()) given.seams = edges_between_sides(mesh.positions, mesh.faces);
+  return make_garment(mesh, name, vertices, std::move(given));
+}
+
+void choose_grasp(ImportedGarment& garment, const ImportOptions& options) {
+  const ImportMesh mesh = import_mesh_of(garment.mesh);
+  std::map<std::string, int> names;
+  for (const auto& [name, v] : garment.vertices) names[name] = static_cast<int>(v);
+  std::vector<std::string> held;
+  for (std::size_t i = 0; i < options.grasp.size(); ++i) {
+    const std::string numbered = "grasp_" + std::to_string(i + 1);
+    held.push_back(options.grasp[i].number < 0 ? options.grasp[i].text : numbered);
+  }
+  for (const auto& [name, v] : outermost_vertices(mesh))
+    if (name_of(names, v).empty()) names.emplace(name, v);
+  garment.grasp = held.empty() ? outermost_side(mesh, names) : held;
+  for (const auto& [name, v] : names) garment.vertices[name] = v;
+}
+
+/// A garment that weft wrote, with layers or a rest shape in a file: only the hands are chosen.
+ImportedGarment keep_garment(const std::filesystem::path& path, const ImportOptions& options) {
+  if (options.remesh || options.units || options.up)
+    throw ConfigError(path.string() +
+                      " has layers or a rest shape of its own, which a change of its mesh would lose: "
+                      "import the mesh that it was made from");
+  ImportedGarment result;
+  const ConfigNode node = ConfigNode::load(path);
+  Garment garment = read_garment(ConfigNode::quoted(path.string()));
+  result.mesh = {garment.positions, garment.faces, garment.has_frames() ? RestPositions(0, 2) : garment.rest,
+                 node.at("mesh").as_path().string()};
+  result.form = garment.has_frames() ? RestForm::two_sides : RestForm::chart;
+  result.layers = garment.form.layers;
+  result.vertices = garment.vertices;
+  result.before = import_mesh_of(result.mesh);
+  for (const auto& [name, spec] : options.names)
+    result.vertices[name] = spec.number > 0 ? spec.number - 1 : nearest_vertex(result.mesh.positions, spec);
+  for (std::size_t i = 0; i < options.grasp.size(); ++i) {
+    const VertexSpec& spec = options.grasp[i];
+    if (spec.number < 0)
+      garment.vertex(spec.text);  // throws for an unknown name
+    else
+      result.vertices["grasp_" + std::to_string(i + 1)] =
+          spec.number > 0 ? spec.number - 1 : nearest_vertex(result.mesh.positions, spec);
+  }
+  for (const auto& [name, v] : result.vertices)
+    if (v >= garment.vertex_count()) throw ConfigError(name + ": the garment has no vertex " + std::to_string(v + 1));
+  choose_grasp(result, options);
+  result.findings.push_back({"garment", FindingKind::fact, garment.vertex_count(),
+                             "one of weft's, with its rest shape and layers: kept as it is"});
+  garment.vertices = result.vertices;
+  for (Index v = 0; v < garment.vertex_count(); ++v) result.vertex_of.push_back(static_cast<int>(v));
+  result.kept = std::move(garment);
+  return result;
 }
 
 ImportedGarment import_garment(const std::filesystem::path& path, const ImportOptions& options) {
   ImportedGarment result;
   Findings& findings = result.findings;
   const Input input = input_of(path);
+  if (input.is_finished) return keep_garment(path, options);
   const MeshFile file = read_mesh_file(input.mesh, findings);
   for (const auto& [name, index] : input.vertices) {
     const auto count = static_cast<Index>(file.polygons.vertices.size());
@@ -200,15 +281,17 @@ ImportedGarment import_garment(const std::filesystem::path& path, const ImportOp
   orient_faces(mesh, findings);
   choose_piece(mesh, options.piece, findings);
   fill_holes(mesh, options.fill_edges, findings);
-  RestPositions rest = find_rest_shape(mesh, findings);
-  if (rest.rows() == 0) turn_outwards(mesh, findings);
-  auto names = resolve_names(mesh, input, options, rest.rows() > 0, result.grasp, findings);
-  if (options.remesh) remesh(mesh, rest, *options.remesh, names, findings);
+  FoundRest rest = find_rest_shape(mesh, findings);
+  result.form = rest.form;
+  if (!result.is_flat()) turn_outwards(mesh, findings);
+  auto names = resolve_names(mesh, input, options, result.is_flat(), result.grasp, findings);
+  if (options.remesh) remesh(mesh, rest.chart, *options.remesh, names, findings);
+  if (result.is_flat()) result.layers = flat_layers(mesh, findings);
   say_edges(mesh, findings);
-  result.mesh = mesh_of_import(mesh, rest);
+  result.mesh = mesh_of_import(mesh, rest.chart);
   for (const auto& [name, v] : names) result.vertices[name] = v;
   result.vertex_of = mesh.vertex_of;
-  if (result.foldable()) make_garment(result.mesh, path.stem().string(), result.vertices);  // the rules of any garment
+  result.garment(path.stem().string());  // the rules of any garment
   return result;
 }
 

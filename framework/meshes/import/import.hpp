@@ -5,6 +5,7 @@
 
 #include "meshes/import/import_mesh.hpp"
 #include "meshes/import/names.hpp"
+#include "meshes/import/rest_shape.hpp"
 #include "meshes/mesher.hpp"
 #include "weft/garment.hpp"
 
@@ -22,16 +23,25 @@ struct ImportOptions {
 };
 
 struct ImportedGarment {
-  Mesh mesh;                              ///< m, z up; `rest` has no rows where there is a limit
+  Mesh mesh;  ///< m, z up; `rest` has rows if it is a chart
+  RestForm form = RestForm::chart;
+  std::vector<double> layers;             ///< [V] of a flat garment; empty: one layer
+  std::optional<Garment> kept;            ///< the file was a garment of weft's with layers and frames of its own
   std::map<std::string, Index> vertices;  ///< the names
-  std::vector<std::string> grasp;         ///< two of them; empty where there is a limit
+  std::vector<std::string> grasp;         ///< two of them; empty for a worn garment
   Findings findings;
   ImportMesh before;           ///< the triangles of the file, m, z up
   std::vector<int> vertex_of;  ///< [vertices of the file] the vertex of the mesh; -1: gone
 
-  /// Today's weft folds it: there is no limit, and make_garment() accepts it.
-  bool foldable() const;
+  /// It lies flat, so it can be folded. A worn garment must be laid first.
+  bool is_flat() const { return form != RestForm::worn; }
+  /// The garment as weft's: with rest shape, layers and names. @throws ConfigError as make_garment().
+  Garment garment(const std::string& name) const;
 };
+
+/// Names the outermost vertices of a garment and chooses those that the hands hold, as the import does of a flat one.
+/// @param options its grasp, if given, was chosen by names or numbers already.
+void choose_grasp(ImportedGarment& garment, const ImportOptions& options);
 
 /// Imports a mesh file, or the YAML of a garment with its names. The passes, in this order: file, triangulate, units,
 /// up, weld, faces, non-manifold edges, bow-ties, orientation, pieces, holes, flat, rest shape, names, remesh.

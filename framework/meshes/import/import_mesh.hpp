@@ -17,10 +17,9 @@ struct Place {
 };
 
 enum class FindingKind {
-  fact,     ///< what the file holds; nothing had to be done
-  mended,   ///< the mesh was changed
-  warning,  ///< the user should look at it
-  limit     ///< weft cannot fold this garment yet
+  fact,    ///< what the file holds; nothing had to be done
+  mended,  ///< the mesh was changed
+  warning  ///< the user should look at it
 };
 
 struct Finding {

@@ -129,10 +129,9 @@ std::string texture_text(const TextureFit& fit) {
   return text;
 }
 
-void say_pieces_meet(const ImportMesh& mesh, Findings& findings) {
-  const auto pieces = pieces_of(mesh);
-  std::vector<std::pair<Vec2, Vec2>> boxes;
-  for (const MeshPiece& piece : pieces) {
+/// Whether the boxes of two pieces overlap, seen from above.
+bool pieces_meet(const ImportMesh& mesh, const MeshPiece& one, const MeshPiece& other) {
+  const auto box = [&](const MeshPiece& piece) {
     Vec2 low = mesh.at(mesh.faces[static_cast<std::size_t>(piece.faces.front())][0]).head<2>(), high = low;
     for (const int f : piece.faces) {
       for (const int v : mesh.faces[static_cast<std::size_t>(f)]) {
@@ -140,19 +139,10 @@ void say_pieces_meet(const ImportMesh& mesh, Findings& findings) {
         high = high.cwiseMax(mesh.at(v).head<2>());
       }
     }
-    boxes.emplace_back(low, high);
-  }
-  for (std::size_t i = 0; i < boxes.size(); ++i) {
-    for (std::size_t j = i + 1; j < boxes.size(); ++j) {
-      const Vec2 overlap = boxes[i].second.cwiseMin(boxes[j].second) - boxes[i].first.cwiseMax(boxes[j].first);
-      if (overlap.minCoeff() <= 0.0) continue;
-      findings.push_back({"pieces", FindingKind::warning, 1,
-                          "pieces " + std::to_string(i + 1) + " and " + std::to_string(j + 1) +
-                              " lie over each other at z = 0, where a fold starts: layers need heights of their own, "
-                              "which weft does not support yet; --piece N keeps one"});
-      return;
-    }
-  }
+    return std::pair(low, high);
+  };
+  const auto a = box(one), b = box(other);
+  return (a.second.cwiseMin(b.second) - a.first.cwiseMax(b.first)).minCoeff() > 0.0;
 }
 
 }  // namespace
@@ -212,7 +202,7 @@ TextureFit fit_texture(const ImportMesh& mesh) {
   return fit;
 }
 
-RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings) {
+FoundRest find_rest_shape(ImportMesh& mesh, Findings& findings) {
   const TextureFit fit = fit_texture(mesh);
   const auto faces = static_cast<std::int64_t>(mesh.faces.size());
   const bool mirrored = fit.mirrored == faces;
@@ -220,19 +210,18 @@ RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings) {
   if (thick >= 0.0) {
     const std::int64_t down = turn_up(mesh, findings);
     if (down > 0) {
-      findings.push_back({"rest shape", FindingKind::limit, down,
-                          counted(down, "face") + " of a flat mesh lie upside down, so it has layers that are joined "
-                                                  "(front and back): that needs a rest shape by frames and a layer "
-                                                  "number per vertex, which weft does not support yet"});
-      return RestPositions(0, 2);
+      findings.push_back({"rest shape", FindingKind::fact, down,
+                          counted(down, "face") +
+                              " of the flat mesh look down: a front and a back that are joined. Each "
+                              "face keeps its own lengths, the weft runs along y"});
+      return {RestForm::two_sides, RestPositions(0, 2)};
     }
-    say_pieces_meet(mesh, findings);
     const bool metric = fit.has_size() && fit.one_chart() && fit.median_strain <= kMetricStrain &&
                         std::abs(fit.scale - 1.0) <= kMetricStrain && fit_texture(mesh).mirrored == 0;
     if (metric) {
       findings.push_back({"rest shape", FindingKind::fact, 1,
                           "the texture coordinates (vt) are a rest shape in metres: kept, their x is the warp"});
-      return rest_of_texture(mesh, 1.0, false);
+      return {RestForm::chart, rest_of_texture(mesh, 1.0, false)};
     }
     Finding finding{"rest shape", FindingKind::fact, 1, "the mesh itself, its x is the warp"};
     if (!mesh.texture.empty()) {
@@ -245,7 +234,7 @@ RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings) {
     findings.push_back(finding);
     RestPositions rest(static_cast<Index>(mesh.positions.size()), 2);
     for (Index v = 0; v < rest.rows(); ++v) rest.row(v) = mesh.at(static_cast<int>(v)).head<2>().transpose();
-    return rest;
+    return {RestForm::chart, rest};
   }
 
   double z_low = mesh.positions.front().z(), z_high = z_low;
@@ -265,8 +254,7 @@ RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings) {
                             percent(fit.median_strain) + " in the median; the cloth was laid flat by it (it was " +
                             length_text(z_high - z_low) + " high)"});
     turn_up(mesh, findings);
-    say_pieces_meet(mesh, findings);
-    return rest;
+    return {RestForm::chart, rest};
   }
   if (!mesh.texture.empty()) {
     findings.push_back({"texture", FindingKind::fact, fit.seam_edges, texture_text(fit)});
@@ -280,15 +268,39 @@ RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings) {
   } else if (piece.loops.empty()) {
     shape = "a closed surface without an opening";
   }
-  findings.push_back(
-      {"rest shape", FindingKind::limit, 1,
-       "not flat (" + length_text(z_high - z_low) + " high, " + shape + "): " +
-           (fit.has_size() ? "its texture has the cloth's size but seams, so a vertex has several places in it; that "
-                             "needs a rest shape by frames"
-                           : "nothing in the file lays it flat, so it needs a rest shape by frames and a start laid by "
-                             "simulation") +
-           ", which weft does not support yet"});
-  return RestPositions(0, 2);
+  findings.push_back({"rest shape", FindingKind::fact, 1,
+                      "not flat (" + length_text(z_high - z_low) + " high, " + shape +
+                          "): each face keeps the lengths that it is drawn with; the garment is laid on the table by "
+                          "simulation"});
+  return {RestForm::worn, RestPositions(0, 2)};
+}
+
+std::vector<double> flat_layers(const ImportMesh& mesh, Findings& findings) {
+  std::vector<double> layers(mesh.positions.size(), 0.0);
+  const auto pieces = pieces_of(mesh);
+  std::vector<double> base(pieces.size(), 0.0);
+  double most = 0.0;
+  for (std::size_t i = 0; i < pieces.size(); ++i) {
+    const auto is_down = [&](int f) { return mesh.area_vector(f).z() <= 0.0; };
+    const bool has_back = std::any_of(pieces[i].faces.begin(), pieces[i].faces.end(), is_down);
+    for (std::size_t j = 0; j < i; ++j)
+      if (pieces_meet(mesh, pieces[i], pieces[j])) base[i] = std::max(base[i], base[j] + 2.0);
+    std::vector<bool> below(mesh.positions.size(), false);
+    for (const int f : pieces[i].faces)
+      if (is_down(f))
+        for (const int v : mesh.faces[static_cast<std::size_t>(f)]) below[static_cast<std::size_t>(v)] = true;
+    for (const int f : pieces[i].faces)
+      for (const int v : mesh.faces[static_cast<std::size_t>(f)]) {
+        const auto at = static_cast<std::size_t>(v);
+        layers[at] = base[i] + (has_back && !below[at] ? 1.0 : 0.0);
+        most = std::max(most, layers[at]);
+      }
+  }
+  if (most == 0.0) return {};
+  findings.push_back({"layers", FindingKind::fact, static_cast<std::int64_t>(most) + 1,
+                      "the cloth lies in layers 0 to " + std::to_string(static_cast<int>(most)) +
+                          "; each lies a thickness above the one below"});
+  return layers;
 }
 
 }  // namespace weft

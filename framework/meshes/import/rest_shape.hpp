@@ -18,11 +18,24 @@ struct TextureFit {
 };
 TextureFit fit_texture(const ImportMesh& mesh);
 
-/// Finds the rest shape that today's garments have: one place in the plane per vertex. A mesh that is flat within 1e-4
-/// of its extent is laid at z = 0 and is its own rest shape; it keeps vt that are such a shape already. A curved one is
-/// laid flat where its texture is one chart of its size. Faces run counter-clockwise afterwards. Everything else is a
-/// finding of the kind `limit`.
-/// @return [V, 2] m; no rows: there is none.
-RestPositions find_rest_shape(ImportMesh& mesh, Findings& findings);
+/// How the unstretched cloth of a mesh is known.
+enum class RestForm {
+  chart,      ///< one place in the plane for each vertex
+  two_sides,  ///< a front and a back, drawn flat: the mesh is its own rest shape, face by face
+  worn        ///< curved: the same, and it must be laid on the table by simulation
+};
+struct FoundRest {
+  RestForm form = RestForm::chart;
+  RestPositions chart;  ///< [V, 2] m; no rows for the other forms
+};
+
+/// Finds the rest shape. A mesh that is flat within 1e-4 of its extent is laid at z = 0 and is its own rest shape; it
+/// keeps vt that are such a shape already. A curved one is laid flat where its texture is one chart of its size. Faces
+/// of a chart run counter-clockwise afterwards. Everything else has the lengths that it was drawn with.
+FoundRest find_rest_shape(ImportMesh& mesh, Findings& findings);
+
+/// The layer of each vertex of a flat garment: its back and seams 0, its front 1, and pieces that lie over each other
+/// one above the other. Empty: it is one layer.
+std::vector<double> flat_layers(const ImportMesh& mesh, Findings& findings);
 
 }  // namespace weft

@@ -259,6 +259,7 @@ SimulatorCapabilities Bullet::capabilities() const {
   c.ground_friction = true;
   c.pins = true;
   c.orthotropic = true;
+  c.rest_frames = true;
   return c;
 }
 

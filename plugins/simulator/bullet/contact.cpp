@@ -139,7 +139,13 @@ SelfContact::SelfContact(const Garment& garment, double thickness, double self_f
   const Index n = garment.vertex_count();
   lifted_.assign(n, 0.0);
   rest_.resize(n);
-  for (Index i = 0; i < n; ++i) rest_[i] = {garment.rest(i, 0), garment.rest(i, 1), 0.0};
+  if (garment.has_frames()) frames_.emplace(garment);
+  for (Index i = 0; i < n; ++i) {
+    if (frames_)
+      rest_[i] = garment.positions.row(i).transpose();
+    else
+      rest_[i] = {garment.rest(i, 0), garment.rest(i, 1), 0.0};
+  }
   piece_.resize(n);
   std::iota(piece_.begin(), piece_.end(), 0);
   const auto root = [&](std::int32_t i) {
@@ -151,7 +157,7 @@ SelfContact::SelfContact(const Garment& garment, double thickness, double self_f
   make_patches(garment);
 }
 
-/// Halves the vertices at the median of the longer side, in rest coordinates: neighbours there stay neighbours.
+/// Halves the vertices at the median of the longest side: neighbours at rest stay neighbours.
 void SelfContact::make_patches(const Garment& garment) {
   const Index n = garment.vertex_count();
   const std::size_t most = std::max<Index>(kPatchVertices, n / kMostPatches + 1);
@@ -172,7 +178,8 @@ void SelfContact::make_patches(const Garment& garment) {
       low = low.cwiseMin(rest_[order[k]]);
       high = high.cwiseMax(rest_[order[k]]);
     }
-    const int axis = (high - low).x() >= (high - low).y() ? 0 : 1;
+    int axis = (high - low).x() >= (high - low).y() ? 0 : 1;
+    if ((high - low).z() > (high - low)[axis]) axis = 2;  // never of a chart
     const std::size_t middle = (begin + end) / 2;
     std::nth_element(order.begin() + begin, order.begin() + middle, order.begin() + end,
                      [&](std::int32_t a, std::int32_t b) {
@@ -210,6 +217,9 @@ void SelfContact::forget() {
 
 double SelfContact::rest_distance(const Pair& pair) const {
   if (piece_[pair.node[0]] != piece_[pair.node[2]]) return std::numeric_limits<double>::infinity();
+  // Beyond 10/9 of the thickness it makes no difference.
+  if (frames_)
+    return frames_->distance({pair.node[0], pair.node[1], pair.node[2], pair.node[3]}, pair.edges, 1.2 * thickness_);
   double weight[4];
   return difference(rest_, pair.node, pair.edges, weight).norm();
 }

@@ -1,10 +1,11 @@
 #pragma once
 #include <Eigen/Core>
 #include <cstdint>
+#include <optional>
 #include <utility>
 #include <vector>
 
-#include "weft/garment.hpp"
+#include "weft/rest_shape.hpp"
 
 namespace weft::bullet {
 
@@ -88,8 +89,9 @@ class SelfContact {
   bool self_;
   Faces faces_;
   Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_;
-  std::vector<Eigen::Vector3d> rest_;
-  std::vector<std::int32_t> piece_;  ///< connected component of each vertex
+  std::vector<Eigen::Vector3d> rest_;  ///< m, in the plane; with frames as the garment was drawn
+  std::optional<RestShape> frames_;    ///< of a garment that has some
+  std::vector<std::int32_t> piece_;    ///< connected component of each vertex
   std::vector<Patch> patches_;
   std::vector<Neighbours> neighbours_;  ///< of all patches a <= b, in this order
   // Per entry of neighbours_, m. Stored apart, because every substep visits all of them.

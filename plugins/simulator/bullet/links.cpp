@@ -9,6 +9,8 @@
 #include <numeric>
 #include <utility>
 
+#include "weft/rest_shape.hpp"
+
 namespace weft::bullet {
 namespace {
 
@@ -142,28 +144,41 @@ std::vector<double> fit_form(const std::vector<Element>& elements, const Form& t
 
 struct Hinge {
   std::array<int, 4> node{};       ///< the edge's ends, then the two opposite corners
+  std::array<Vec2, 4> place{};     ///< m, unfolded into the frame of the first face
   std::array<double, 4> weight{};  ///< m, 1/m
+};
+
+/// An edge: the faces beside it, and its corner opposite to it in each; the second face is -1 at the border.
+struct Beside {
+  std::array<int, 2> face{-1, -1};
+  std::array<int, 2> corner{};
 };
 
 /// Faces, and the faces beside every edge.
 struct Mesh {
-  const RestPositions& rest;
   const Faces& faces;
-  std::vector<double> areas;                                 ///< [f] m^2
-  std::map<std::pair<int, int>, std::array<int, 2>> beside;  ///< of an edge: its faces, the second -1 at the border
+  RestShape shape;
+  std::vector<double> areas;                     ///< [f] m^2
+  std::map<std::pair<int, int>, Beside> beside;  ///< of an edge
 
-  explicit Mesh(const Garment& garment) : rest(garment.rest), faces(garment.faces), areas(garment.face_count()) {
+  explicit Mesh(const Garment& garment) : faces(garment.faces), shape(garment), areas(garment.face_count()) {
     for (Index f = 0; f < faces.rows(); ++f) {
-      const Vec2 u = at(faces(f, 1)) - at(faces(f, 0)), v = at(faces(f, 2)) - at(faces(f, 0));
+      const Vec2 u = shape.corner(f, 1) - shape.corner(f, 0), v = shape.corner(f, 2) - shape.corner(f, 0);
       areas[f] = 0.5 * std::abs(u.x() * v.y() - u.y() * v.x());
       for (int k = 0; k < 3; ++k) {
         const auto key = std::minmax(faces(f, k), faces(f, (k + 1) % 3));
-        const auto [place, fresh] = beside.try_emplace(key, std::array<int, 2>{static_cast<int>(f), -1});
-        if (!fresh) place->second[1] = static_cast<int>(f);
+        const auto [place, fresh] = beside.try_emplace(key);
+        place->second.face[fresh ? 0 : 1] = static_cast<int>(f);
+        place->second.corner[fresh ? 0 : 1] = (k + 2) % 3;
       }
     }
   }
-  Vec2 at(int v) const { return Vec2(rest(v, 0), rest(v, 1)); }
+  /// A vertex of a face, in the face's rest frame.
+  Vec2 at(int face, int vertex) const {
+    int k = 0;
+    while (faces(face, k) != vertex) ++k;
+    return shape.corner(face, k);
+  }
 };
 
 struct Moduli {
@@ -226,16 +241,16 @@ struct Target {
   }
 };
 
-/// The hinge of an edge from a along n (a unit vector), `length` long, between two faces.
-Hinge make_hinge(const Mesh& mesh, int a, int b, const std::array<int, 2>& beside, const Vec2& n, double length) {
+/// The hinge of an edge from a along n (a unit vector), `length` long, between two faces, in the frame of the first.
+Hinge make_hinge(const Mesh& mesh, int a, int b, const Beside& beside, const Vec2& n, double length) {
   Hinge hinge;
-  hinge.node = {a, b, -1, -1};
-  for (int side = 0; side < 2; ++side)
-    for (int k = 0; k < 3; ++k)
-      if (const int v = mesh.faces(beside[side], k); v != a && v != b) hinge.node[2 + side] = v;
+  const int first = beside.face[0];
+  hinge.node = {a, b, mesh.faces(first, beside.corner[0]), mesh.faces(beside.face[1], beside.corner[1])};
+  hinge.place = {mesh.at(first, a), mesh.at(first, b), mesh.shape.corner(first, beside.corner[0]),
+                 mesh.shape.place_across(first, beside.corner[0])};
   // Weights of the opposite corners: 1 / height. Those of the ends annul affine functions.
   for (int side = 0; side < 2; ++side) {
-    const Vec2 off = mesh.at(hinge.node[2 + side]) - mesh.at(a);
+    const Vec2 off = hinge.place[2 + side] - hinge.place[0];
     const double height = std::abs(n.x() * off.y() - n.y() * off.x()), part = n.dot(off) / length;
     hinge.weight[2 + side] = 1.0 / height;
     hinge.weight[0] -= (1.0 - part) / height;
@@ -245,11 +260,11 @@ Hinge make_hinge(const Mesh& mesh, int a, int b, const std::array<int, 2>& besid
 }
 
 /// The hinge's squared angle in a surface of unit curvature along each direction.
-Form squared_angles(const Mesh& mesh, const Hinge& hinge) {
+Form squared_angles(const Hinge& hinge) {
   // The angle of the surface z = (xx x^2 + 2 xy x y + yy y^2) / 2.
   double xx = 0.0, yy = 0.0, xy = 0.0;
   for (int k = 0; k < 4; ++k) {
-    const Vec2 p = mesh.at(hinge.node[k]) - mesh.at(hinge.node[0]);
+    const Vec2 p = hinge.place[k] - hinge.place[0];
     xx += 0.5 * hinge.weight[k] * p.x() * p.x();
     yy += 0.5 * hinge.weight[k] * p.y() * p.y();
     xy += hinge.weight[k] * p.x() * p.y();
@@ -264,7 +279,7 @@ Form squared_angles(const Mesh& mesh, const Hinge& hinge) {
 }
 
 /// Turns the hinges' bending stiffness into pre-stress of the edges and of struts. Adds the struts.
-void add_pre_stress(const Mesh& mesh, const std::vector<Hinge>& hinges, const std::vector<double>& stiffness,
+void add_pre_stress(const std::vector<Hinge>& hinges, const std::vector<double>& stiffness,
                     std::vector<Spring>& springs) {
   std::map<std::pair<int, int>, std::size_t> spring_of;
   for (std::size_t e = 0; e < springs.size(); ++e) spring_of[{springs[e].a, springs[e].b}] = e;
@@ -273,8 +288,10 @@ void add_pre_stress(const Mesh& mesh, const std::vector<Hinge>& hinges, const st
       for (int j = i + 1; j < 4; ++j) {
         const auto ends = std::minmax(hinges[h].node[i], hinges[h].node[j]);
         const auto [place, fresh] = spring_of.try_emplace(ends, springs.size());
-        if (fresh)
-          springs.push_back({ends.first, ends.second, (mesh.at(ends.first) - mesh.at(ends.second)).norm(), 0, 0});
+        if (fresh) {
+          const Vec2 along = hinges[h].place[i] - hinges[h].place[j];
+          springs.push_back({ends.first, ends.second, along.norm(), 0, 0});
+        }
         springs[place->second].pre_stress -= stiffness[h] * hinges[h].weight[i] * hinges[h].weight[j];
       }
 }
@@ -311,20 +328,30 @@ SpringNetwork spring_network(const Garment& garment, const Fabric& fabric) {
   std::vector<double> lengths;
   for (const auto& [ends, beside] : mesh.beside) {
     const auto [a, b] = ends;
-    const Vec2 along = mesh.at(b) - mesh.at(a);
-    const double length = along.norm();
-    const Vec2 n = along / length;
-    const double area = mesh.areas[beside[0]] + (beside[1] < 0 ? 0.0 : mesh.areas[beside[1]]);
+    const int first = beside.face[0], second = beside.face[1];
+    const Vec2 along = mesh.at(first, b) - mesh.at(first, a);
+    const double drawn = along.norm(),
+                 length = mesh.shape.is_chart() ? drawn : mesh.shape.edge_length(first, beside.corner[0]);
+    const Vec2 n = along / drawn;
+    const double area = mesh.areas[first] + (second < 0 ? 0.0 : mesh.areas[second]);
     network.springs.push_back({a, b, length, 0.0, 0.0});
+    // Where the frames of two faces differ, the edge has half of its stiffness along each direction.
+    const Vec2 other =
+        mesh.shape.is_chart() || second < 0 ? n : Vec2((mesh.at(second, b) - mesh.at(second, a)).normalized());
     Form form{};
-    for (int j = 0; j < kDirections; ++j) form[j] = length * length * std::pow(n.dot(direction(j)), 4);
-    edges.push_back({form, target.stretch(n) * area / (length * length), beside});
+    for (int j = 0; j < kDirections; ++j) {
+      form[j] = length * length * std::pow(n.dot(direction(j)), 4);
+      if (!mesh.shape.is_chart()) form[j] = 0.5 * (form[j] + length * length * std::pow(other.dot(direction(j)), 4));
+    }
+    double stretch = target.stretch(n);
+    if (!mesh.shape.is_chart()) stretch = 0.5 * (stretch + target.stretch(other));
+    edges.push_back({form, stretch * area / (length * length), beside.face});
     directions.push_back(n);
     lengths.push_back(length);
-    if (beside[1] < 0) continue;
-    const Hinge hinge = make_hinge(mesh, a, b, beside, n, length);
+    if (!mesh.shape.bends(first, beside.corner[0])) continue;
+    const Hinge hinge = make_hinge(mesh, a, b, beside, n, drawn);
     const double guess = std::max(0.0, target.bend(Vec2(-n.y(), n.x()))) * length * length / area;
-    hinge_elements.push_back({squared_angles(mesh, hinge), guess, beside});
+    hinge_elements.push_back({squared_angles(hinge), guess, beside.face});
     hinges.push_back(hinge);
   }
 
@@ -338,7 +365,7 @@ SpringNetwork spring_network(const Garment& garment, const Fabric& fabric) {
   for (std::size_t e = 0; e < stiffness.size(); ++e) network.springs[e].stiffness = stiffness[e];
   if (*std::min_element(target.bend_form.begin(), target.bend_form.end()) <= 0.0) return network;  // no bending
 
-  add_pre_stress(mesh, hinges, fit(hinge_elements, target.bend_form, network.bend_misfit), network.springs);
+  add_pre_stress(hinges, fit(hinge_elements, target.bend_form, network.bend_misfit), network.springs);
   network.raised_share = raise_stiffness(network.springs, edges.size());
   return network;
 }

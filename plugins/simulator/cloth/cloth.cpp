@@ -50,6 +50,7 @@ SimulatorCapabilities Cloth::capabilities() const {
   c.ground_friction = true;
   c.pins = true;
   c.orthotropic = true;
+  c.rest_frames = true;
   return c;
 }
 

@@ -185,7 +185,14 @@ void ContactSearch::clear(State& state) const {
 float ContactSearch::pair_distance(const std::int32_t (&v)[4], bool edges) const {
   const float full = edges ? edge_thickness_ : thickness_;
   if (topology_->component[v[0]] != topology_->component[v[3]]) return full;
-  const auto& rest = topology_->rest;
+  if (topology_->frames) {
+    constexpr double kPart = 0.7;
+    return std::min(
+        full, static_cast<float>(kPart * topology_->frames->distance({v[0], v[1], v[2], v[3]}, edges, full / kPart)));
+  }
+  const auto rest = [&](std::int32_t i) {
+    return std::array<double, 2>{topology_->place[i][0], topology_->place[i][1]};
+  };
   const double far = 2.0 * full;
   double low[2][2], high[2][2];  // boxes of first and second
   const int split = edges ? 2 : 1;
@@ -193,21 +200,21 @@ float ContactSearch::pair_distance(const std::int32_t (&v)[4], bool edges) const
     for (int side = 0; side < 2; ++side) low[side][k] = 1e30, high[side][k] = -1e30;
     for (int i = 0; i < 4; ++i) {
       const int side = i >= split;
-      low[side][k] = std::min(low[side][k], rest[v[i]][k]);
-      high[side][k] = std::max(high[side][k], rest[v[i]][k]);
+      low[side][k] = std::min(low[side][k], topology_->place[v[i]][k]);
+      high[side][k] = std::max(high[side][k], topology_->place[v[i]][k]);
     }
     if (low[0][k] > high[1][k] + far || low[1][k] > high[0][k] + far) return full;
   }
   double d2;
   if (edges) {
-    d2 = std::min(std::min(segment_distance2(rest[v[0]], rest[v[2]], rest[v[3]]),
-                           segment_distance2(rest[v[1]], rest[v[2]], rest[v[3]])),
-                  std::min(segment_distance2(rest[v[2]], rest[v[0]], rest[v[1]]),
-                           segment_distance2(rest[v[3]], rest[v[0]], rest[v[1]])));
+    d2 = std::min(std::min(segment_distance2(rest(v[0]), rest(v[2]), rest(v[3])),
+                           segment_distance2(rest(v[1]), rest(v[2]), rest(v[3]))),
+                  std::min(segment_distance2(rest(v[2]), rest(v[0]), rest(v[1])),
+                           segment_distance2(rest(v[3]), rest(v[0]), rest(v[1]))));
   } else {
-    d2 = std::min(segment_distance2(rest[v[0]], rest[v[1]], rest[v[2]]),
-                  std::min(segment_distance2(rest[v[0]], rest[v[2]], rest[v[3]]),
-                           segment_distance2(rest[v[0]], rest[v[1]], rest[v[3]])));
+    d2 = std::min(segment_distance2(rest(v[0]), rest(v[1]), rest(v[2])),
+                  std::min(segment_distance2(rest(v[0]), rest(v[2]), rest(v[3])),
+                           segment_distance2(rest(v[0]), rest(v[1]), rest(v[3]))));
   }
   return std::min(full, static_cast<float>(0.7 * std::sqrt(d2)));
 }

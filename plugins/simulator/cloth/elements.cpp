@@ -31,10 +31,7 @@ Elements::Elements(const Topology& topology, const Fabric& fabric) : topology_(&
   factors_.resize(face_total);
   blocks_.assign((face_total + kElementLanes - 1) / kElementLanes, ElementBlock{});
   for (std::int32_t f = 0; f < face_total; ++f) {
-    const auto& face = topology.faces[f];
-    const auto& p = topology.rest[face[0]];
-    const auto& q = topology.rest[face[1]];
-    const auto& r = topology.rest[face[2]];
+    const auto &p = topology.corner[f][0], &q = topology.corner[f][1], &r = topology.corner[f][2];
     const double u1 = q[0] - p[0], v1 = q[1] - p[1], u2 = r[0] - p[0], v2 = r[1] - p[1];
     const double det = u1 * v2 - v1 * u2;
     gradient_[f] = {v2 / det, -v1 / det, -u2 / det, u1 / det};
@@ -66,7 +63,7 @@ Elements::Patch Elements::make_patch(std::int32_t f) const {
   Patch patch;
   for (int k = 0; k < 3; ++k) {
     const std::int32_t across = topology_->opposite[f][k];
-    patch.ghost[k] = across < 0;
+    patch.ghost[k] = topology_->free_edge[f][k];
     patch.node[k] = face[k];
     patch.node[3 + k] = patch.ghost[k] ? face[0] : across;
   }
@@ -75,14 +72,13 @@ Elements::Patch Elements::make_patch(std::int32_t f) const {
 }
 
 PatchPoints Elements::points_of(std::int32_t f, const Patch& patch) const {
-  const auto& face = topology_->faces[f];
   PatchPoints point;
-  for (int k = 0; k < 3; ++k) point[k] = {topology_->rest[face[k]][0], topology_->rest[face[k]][1]};
+  for (int k = 0; k < 3; ++k) point[k] = topology_->corner[f][k];
   for (int k = 0; k < 3; ++k) {
     for (int axis = 0; axis < 2; ++axis) {
       // A ghost stands where the parallelogram would put it; condensation makes the result independent of the place.
       point[3 + k][axis] = patch.ghost[k] ? point[(k + 1) % 3][axis] + point[(k + 2) % 3][axis] - point[k][axis]
-                                          : topology_->rest[patch.node[3 + k]][axis];
+                                          : topology_->beyond[f][k][axis];
     }
   }
   return point;
@@ -142,6 +138,35 @@ void Elements::membrane_stiffness(const std::vector<std::array<double, 2>>& u,
     const double f1[2] = {g[0] * s11 + g[2] * s12, g[2] * s22 + g[0] * s12};
     const double f2[2] = {g[1] * s11 + g[3] * s12, g[3] * s22 + g[1] * s12};
     for (int k = 0; k < 2; ++k) {
+      out[face[1]][k] += f1[k];
+      out[face[2]][k] += f2[k];
+      out[face[0]][k] -= f1[k] + f2[k];
+    }
+  }
+}
+
+void Elements::membrane_stiffness(const std::vector<std::array<double, 3>>& u,
+                                  std::vector<std::array<double, 3>>& out) const {
+  std::fill(out.begin(), out.end(), std::array<double, 3>{});
+  const MembraneModuli& m = reference_membrane_;
+  using Vec = Eigen::Vector3d;
+  const auto at = [](const std::array<double, 3>& value) { return Vec(value[0], value[1], value[2]); };
+  for (std::int32_t f = 0; f < face_count(); ++f) {
+    const auto& face = topology_->faces[f];
+    const auto& g = gradient_[f];
+    const Vec p = at(topology_->place[face[0]]);
+    const Vec d1 = at(topology_->place[face[1]]) - p, d2 = at(topology_->place[face[2]]) - p;
+    // The yarns as drawn: unit vectors, square to each other.
+    const Vec warp = (g[0] * d1 + g[1] * d2).normalized(), across = g[2] * d1 + g[3] * d2;
+    const Vec weft = (across - across.dot(warp) * warp).normalized();
+    const Vec du1 = at(u[face[1]]) - at(u[face[0]]), du2 = at(u[face[2]]) - at(u[face[0]]);
+    const Vec along_warp = g[0] * du1 + g[1] * du2, along_weft = g[2] * du1 + g[3] * du2;
+    const double e11 = warp.dot(along_warp), e22 = weft.dot(along_weft);
+    const double shear = warp.dot(along_weft) + weft.dot(along_warp), a = topology_->area[f];
+    const double s11 = a * (m.c11 * e11 + m.c12 * e22), s22 = a * (m.c12 * e11 + m.c22 * e22), s12 = a * m.g * shear;
+    const Vec f1 = g[0] * (s11 * warp + s12 * weft) + g[2] * (s22 * weft + s12 * warp);
+    const Vec f2 = g[1] * (s11 * warp + s12 * weft) + g[3] * (s22 * weft + s12 * warp);
+    for (int k = 0; k < 3; ++k) {
       out[face[1]][k] += f1[k];
       out[face[2]][k] += f2[k];
       out[face[0]][k] -= f1[k] + f2[k];

@@ -73,6 +73,9 @@ class Elements {
   /// Linearised stiffness at the flat rest shape: out = K u for in-plane displacements u [V][2]. With tables, of the
   /// moduli that Growth refers to.
   void membrane_stiffness(const std::vector<std::array<double, 2>>& u, std::vector<std::array<double, 2>>& out) const;
+  /// The same about the garment as it was drawn, in space: frames have no common plane.
+  void membrane_stiffness(const std::vector<std::array<double, 3>>& u, std::vector<std::array<double, 3>>& out) const;
+  bool has_frames() const { return topology_->frames != nullptr; }
   /// out = K w, bending; the same for each coordinate.
   void bending_stiffness(const std::vector<double>& w, std::vector<double>& out) const;
   /// Upper bound of the moduli over all strains, for the step size.

@@ -64,7 +64,7 @@ MassScaling::MassScaling(const Topology& topology, const MembraneModuli& m, doub
     const auto& face = topology.faces[f];
     double gradient[3][2];  // of the hat functions: the opposite edge, turned
     for (int k = 0; k < 3; ++k) {
-      const auto &p = topology.rest[face[(k + 1) % 3]], &q = topology.rest[face[(k + 2) % 3]];
+      const auto &p = topology.corner[f][(k + 1) % 3], &q = topology.corner[f][(k + 2) % 3];
       gradient[k][0] = (p[1] - q[1]) / (2.0 * topology.area[f]);
       gradient[k][1] = (q[0] - p[0]) / (2.0 * topology.area[f]);
     }
@@ -156,7 +156,7 @@ void MassScaling::arrange(const Topology& topology, const std::vector<std::int32
   for (const int across : {1, 0})
     for (const double height : {0.8, 0.866, 0.93, 1.0})
       for (const double shift : {0.0, 0.5}) {
-        const auto place = [&](std::int32_t i, int axis) { return topology.rest[i][axis]; };
+        const auto place = [&](std::int32_t i, int axis) { return topology.place[i][axis]; };
         for (std::int32_t i = 0; i < n; ++i) {
           order[i] = i;
           strip[i] = static_cast<std::int32_t>(std::floor(place(i, across) / (height * topology.mean_edge) + shift));

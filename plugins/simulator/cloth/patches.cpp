@@ -4,6 +4,7 @@
 #include <array>
 #include <cstddef>
 #include <iterator>
+#include <utility>
 
 #include "distances.hpp"
 
@@ -33,14 +34,17 @@ std::vector<Point> convex_hull(std::vector<Point> points) {
   return hull;
 }
 
+/// The corners of some faces in one plane, in the order of the faces.
+using Layout = std::vector<std::array<Point, 3>>;
+
 /// Whether every edge of the mesh's border among these faces lies at the hull.
-bool border_is_at(const std::vector<Point>& hull, const Topology& topology, const std::vector<std::int32_t>& faces) {
+bool border_is_at(const std::vector<Point>& hull, const Topology& topology, const std::vector<std::int32_t>& faces,
+                  const Layout& layout) {
   const double near = 0.5 * topology.max_edge;
-  for (const std::int32_t f : faces)
+  for (std::size_t i = 0; i < faces.size(); ++i)
     for (int k = 0; k < 3; ++k) {
-      if (topology.opposite[f][k] >= 0) continue;
-      const Point &a = topology.rest[topology.faces[f][(k + 1) % 3]],
-                  &b = topology.rest[topology.faces[f][(k + 2) % 3]];
+      if (topology.opposite[faces[i]][k] >= 0) continue;
+      const Point &a = layout[i][(k + 1) % 3], &b = layout[i][(k + 2) % 3];
       const Point middle{0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])};
       double best = 1e300;
       for (std::size_t j = 0; j < hull.size(); ++j)
@@ -78,18 +82,81 @@ bool connected(const Topology& topology, const std::vector<std::int32_t>& faces)
   return reached == faces.size();
 }
 
+/// Lays faces with rest frames out in one plane, each unfolded from a neighbour among them.
+/// @return nothing when they do not hang together, or a vertex has several places: a tube, or a curved part.
+Layout unfolded(const Topology& topology, const std::vector<std::int32_t>& faces) {
+  std::vector<std::int32_t> sorted = faces;
+  std::sort(sorted.begin(), sorted.end());
+  const auto index_of = [&](std::int32_t f) {
+    const auto at = std::lower_bound(sorted.begin(), sorted.end(), f);
+    return at != sorted.end() && *at == f ? at - sorted.begin() : -1;
+  };
+  Layout placed(faces.size());
+  std::vector<std::uint8_t> done(faces.size(), 0);
+  std::vector<std::pair<std::int32_t, Point>> places;  // of each vertex, as often as it was placed
+  std::vector<std::ptrdiff_t> queue{0};
+  placed[0] = topology.corner[sorted[0]];
+  done[0] = 1;
+  for (std::size_t next = 0; next < queue.size(); ++next) {
+    const std::int32_t f = sorted[queue[next]];
+    const auto& own = placed[queue[next]];
+    for (int k = 0; k < 3; ++k) places.emplace_back(topology.faces[f][k], own[k]);
+    // From the face's frame to the plane: the turn that takes its first edge there.
+    const auto &p = topology.corner[f][0], &q = topology.corner[f][1];
+    const double ux = q[0] - p[0], uy = q[1] - p[1], vx = own[1][0] - own[0][0], vy = own[1][1] - own[0][1];
+    const double size2 = ux * ux + uy * uy, c = (ux * vx + uy * vy) / size2, s = (ux * vy - uy * vx) / size2;
+    for (int k = 0; k < 3; ++k) {
+      const std::int32_t g = topology.neighbour[f][k];
+      const std::ptrdiff_t at = g < 0 ? -1 : index_of(g);
+      if (at < 0 || done[at]) continue;
+      for (int j = 0; j < 3; ++j) {
+        const std::int32_t v = topology.faces[g][j];
+        if (v == topology.opposite[f][k]) {
+          const double x = topology.beyond[f][k][0] - p[0], y = topology.beyond[f][k][1] - p[1];
+          placed[at][j] = {own[0][0] + c * x - s * y, own[0][1] + s * x + c * y};
+        } else {
+          placed[at][j] = own[topology.faces[f][0] == v ? 0 : topology.faces[f][1] == v ? 1 : 2];
+        }
+      }
+      done[at] = 1;
+      queue.push_back(at);
+    }
+  }
+  if (queue.size() != faces.size()) return {};
+  std::sort(places.begin(), places.end());
+  const double close = 0.1 * topology.mean_edge;
+  for (std::size_t k = 1; k < places.size(); ++k) {
+    if (places[k].first != places[k - 1].first) continue;
+    const double dx = places[k].second[0] - places[k - 1].second[0], dy = places[k].second[1] - places[k - 1].second[1];
+    if (dx * dx + dy * dy > close * close) return {};
+  }
+  Layout layout;
+  for (const std::int32_t f : faces) layout.push_back(placed[index_of(f)]);
+  return layout;
+}
+
+Layout layout_of(const Topology& topology, const std::vector<std::int32_t>& faces) {
+  if (topology.frames) return unfolded(topology, faces);
+  Layout layout;
+  for (const std::int32_t f : faces) layout.push_back(topology.corner[f]);
+  return layout;
+}
+
 /// One connected piece whose area fills its convex hull to 85 %, without cuts: every border edge lies at the hull.
 bool nearly_convex(const Topology& topology, const std::vector<std::int32_t>& faces) {
+  const Layout layout = layout_of(topology, faces);
+  if (layout.empty()) return false;
   std::vector<Point> points;
   double area = 0.0, hull_area = 0.0;
-  for (const std::int32_t f : faces) {
-    area += topology.area[f];
-    for (const std::int32_t v : topology.faces[f]) points.push_back(topology.rest[v]);
+  for (std::size_t i = 0; i < faces.size(); ++i) {
+    area += topology.area[faces[i]];
+    points.insert(points.end(), layout[i].begin(), layout[i].end());
   }
   const std::vector<Point> hull = convex_hull(std::move(points));
   for (std::size_t k = 0; k < hull.size(); ++k)
     hull_area += 0.5 * turn({0.0, 0.0}, hull[k], hull[(k + 1) % hull.size()]);
-  return area >= 0.85 * hull_area && border_is_at(hull, topology, faces) && connected(topology, faces);
+  if (topology.frames && area > 1.02 * hull_area) return false;  // what is unfolded covers itself
+  return area >= 0.85 * hull_area && border_is_at(hull, topology, faces, layout) && connected(topology, faces);
 }
 
 class Builder {
@@ -102,18 +169,16 @@ class Builder {
         edge_taken_(topology.edges.size(), 0) {
     for (std::size_t f = 0; f < order_.size(); ++f) order_[f] = static_cast<std::int32_t>(f);
     std::stable_sort(order_.begin(), order_.end(),
-                     [&](std::int32_t f, std::int32_t g) { return component(f) < component(g); });
+                     [&](std::int32_t f, std::int32_t g) { return topology_.part[f] < topology_.part[g]; });
     chain(0);
     look_around();
   }
 
  private:
-  std::int32_t component(std::int32_t face) const { return topology_.component[topology_.faces[face][0]]; }
-
-  /// Three times a coordinate of the face's centre in the rest shape, m.
+  /// Three times a coordinate of the face's centre, m.
   double centre(std::int32_t face, int axis) const {
     double sum = 0.0;
-    for (const std::int32_t v : topology_.faces[face]) sum += topology_.rest[v][axis];
+    for (const std::int32_t v : topology_.faces[face]) sum += topology_.place[v][axis];
     return sum;
   }
 
@@ -124,11 +189,11 @@ class Builder {
     return static_cast<std::int32_t>(tree_.nodes.size()) - 1;
   }
 
-  /// Components hang in a chain: a node over the first and the rest of them.
+  /// Parts hang in a chain: a node over the first and the rest of them.
   std::int32_t chain(std::int32_t begin) {
     const auto face_total = static_cast<std::int32_t>(order_.size());
     std::int32_t end = begin;
-    while (end < face_total && component(order_[end]) == component(order_[begin])) ++end;
+    while (end < face_total && topology_.part[order_[end]] == topology_.part[order_[begin]]) ++end;
     if (end == face_total) return split(begin, end);
     const std::int32_t node = add_node();
     const std::int32_t left = split(begin, end);
@@ -155,13 +220,14 @@ class Builder {
 
   /// Sorts the faces into two halves along the longer side of their box. @return where the second half begins.
   std::int32_t part(std::int32_t begin, std::int32_t end) {
-    double low[2] = {1e300, 1e300}, high[2] = {-1e300, -1e300};
+    double low[3] = {1e300, 1e300, 1e300}, high[3] = {-1e300, -1e300, -1e300};
     for (std::int32_t k = begin; k < end; ++k)
-      for (int axis = 0; axis < 2; ++axis) {
+      for (int axis = 0; axis < 3; ++axis) {
         low[axis] = std::min(low[axis], centre(order_[k], axis));
         high[axis] = std::max(high[axis], centre(order_[k], axis));
       }
-    const int axis = high[0] - low[0] >= high[1] - low[1] ? 0 : 1;
+    int axis = high[0] - low[0] >= high[1] - low[1] ? 0 : 1;
+    if (high[2] - low[2] > high[axis] - low[axis]) axis = 2;  // never of a chart
     // Whole patches of eight on the left, so that few lanes stay empty.
     const std::int32_t half = ((end - begin) / 2 + 7) / 8 * 8;
     const std::int32_t middle = begin + std::min(half, end - begin - 1);

@@ -20,7 +20,7 @@ struct Patch {
   std::int32_t faces[2], vertices[2], edges[2];  ///< [begin, end) in blocks
 };
 
-/// Tree of boxes over the patches, split in rest space. Children come after their parent.
+/// Tree of boxes over the patches, split by place. Children come after their parent.
 struct PatchNode {
   float low[3], high[3];
   float axis[3];             ///< mean normal of the faces
@@ -35,7 +35,7 @@ struct PatchNode {
 
 /// The mesh in patches, under a tree. Boxes, cones and marks are those of the last search (contact_search.cpp).
 struct PatchTree {
-  /// Splits the faces of each component at the median of their rest centres until at most eight are left.
+  /// Splits the faces of each part at the median of their centres (Topology::place) until at most eight are left.
   explicit PatchTree(const Topology& topology);
 
   std::vector<Patch> patches;

@@ -1,6 +1,7 @@
 #include "stability.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -28,6 +29,37 @@ struct Demand {
 std::pair<Demand, Demand> demands(const Spectrum& s, double stretch_damping_s, double bend_damping_s) {
   return {{0.25 * (s.membrane + s.bending), 0.5 * s.membrane * stretch_damping_s},
           {0.25 * s.bending, 0.5 * s.bending * bend_damping_s}};
+}
+
+/// The largest eigenvalue of the membrane, 1/s^2, in N coordinates: the plane of a chart, or space.
+template <std::size_t N>
+double membrane_frequency(const Elements& elements, const std::vector<double>& masses) {
+  const std::size_t n = masses.size();
+  std::vector<std::array<double, N>> u(n), k(n);
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t c = 0; c < N; ++c) u[i][c] = start_value(N * i + c);
+  double membrane = 0.0;
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    double norm = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+      double square = u[i][0] * u[i][0];
+      for (std::size_t c = 1; c < N; ++c) square += u[i][c] * u[i][c];
+      norm += masses[i] * square;
+    }
+    norm = std::sqrt(norm);
+    for (auto& value : u)
+      for (double& one : value) one /= norm;
+    elements.membrane_stiffness(u, k);
+    double quotient = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+      double energy = u[i][0] * k[i][0];
+      for (std::size_t c = 1; c < N; ++c) energy += u[i][c] * k[i][c];
+      quotient += energy;
+      for (std::size_t c = 0; c < N; ++c) u[i][c] = k[i][c] / masses[i];
+    }
+    membrane = kMargin * quotient;
+  }
+  return membrane;
 }
 
 }  // namespace
@@ -66,22 +98,7 @@ Spectrum largest_frequencies(const Elements& elements, const std::vector<double>
   };
   if (scaling.stages() > 1) return {scaling.largest(), scaling.largest(bending)};
   result.bending = largest_eigenvalue(masses, bending);
-  const std::size_t n = masses.size();
-  std::vector<std::array<double, 2>> u(n), k(n);
-  for (std::size_t i = 0; i < n; ++i) u[i] = {start_value(2 * i), start_value(2 * i + 1)};
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    double norm = 0.0;
-    for (std::size_t i = 0; i < n; ++i) norm += masses[i] * (u[i][0] * u[i][0] + u[i][1] * u[i][1]);
-    norm = std::sqrt(norm);
-    for (auto& value : u) value = {value[0] / norm, value[1] / norm};
-    elements.membrane_stiffness(u, k);
-    double quotient = 0.0;
-    for (std::size_t i = 0; i < n; ++i) {
-      quotient += u[i][0] * k[i][0] + u[i][1] * k[i][1];
-      u[i] = {k[i][0] / masses[i], k[i][1] / masses[i]};
-    }
-    result.membrane = kMargin * quotient;
-  }
+  result.membrane = elements.has_frames() ? membrane_frequency<3>(elements, masses) : membrane_frequency<2>(elements, masses);
   return result;
 }
 

@@ -18,24 +18,67 @@ struct Half {
 
 Topology::Topology(const Garment& garment) {
   vertices = static_cast<std::int32_t>(garment.vertex_count());
-  rest.resize(vertices);
-  for (std::int32_t i = 0; i < vertices; ++i) rest[i] = {garment.rest(i, 0), garment.rest(i, 1)};
   faces.resize(garment.face_count());
   for (std::size_t f = 0; f < faces.size(); ++f)
     for (int i = 0; i < 3; ++i) faces[f][i] = garment.faces(f, i);
+  form_ = garment.form;
+  lay_out(garment);
   measure_faces();
   join_faces();
   find_components();
   list_faces_of_vertices();
+  part.resize(faces.size());
+  for (std::size_t f = 0; f < faces.size(); ++f) {
+    const auto &p = place[faces[f][0]], &q = place[faces[f][1]], &r = place[faces[f][2]];
+    const bool down = frames && (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]) < 0.0;
+    part[f] = 2 * component[faces[f][0]] + (down ? 1 : 0);
+  }
+}
+
+/// Every face in its rest frame, with what lies across its edges.
+void Topology::lay_out(const Garment& garment) {
+  const auto shape = std::make_shared<const RestShape>(garment);
+  if (garment.has_frames()) {
+    frames = shape;
+    drawn_ = garment.positions;
+  }
+  place.resize(vertices);
+  for (std::int32_t i = 0; i < vertices; ++i) {
+    if (frames)
+      place[i] = {garment.positions(i, 0), garment.positions(i, 1), garment.positions(i, 2)};
+    else
+      place[i] = {garment.rest(i, 0), garment.rest(i, 1), 0.0};
+  }
+  corner.resize(faces.size());
+  beyond.resize(faces.size());
+  neighbour.resize(faces.size());
+  free_edge.resize(faces.size());
+  for (std::size_t f = 0; f < faces.size(); ++f) {
+    const auto face = static_cast<Index>(f);
+    for (int i = 0; i < 3; ++i) {
+      const Vec2 at = shape->corner(face, i);
+      corner[f][i] = {at.x(), at.y()};
+      neighbour[f][i] = static_cast<std::int32_t>(shape->neighbour(face, i));
+      free_edge[f][i] = !shape->bends(face, i);
+      if (neighbour[f][i] < 0) continue;
+      const Vec2 across = shape->place_across(face, i);
+      beyond[f][i] = {across.x(), across.y()};
+    }
+  }
 }
 
 bool Topology::is_of(const Garment& garment) const {
   if (garment.vertex_count() != vertices || garment.face_count() != static_cast<Index>(faces.size())) return false;
-  for (std::int32_t i = 0; i < vertices; ++i)
-    if (rest[i][0] != garment.rest(i, 0) || rest[i][1] != garment.rest(i, 1)) return false;
   for (std::size_t f = 0; f < faces.size(); ++f)
     for (int i = 0; i < 3; ++i)
       if (faces[f][i] != garment.faces(static_cast<Index>(f), i)) return false;
+  const Edges &seams = form_.seams, &other = garment.form.seams;
+  if (seams.rows() != other.rows() || seams != other) return false;
+  if (garment.has_frames() != (frames != nullptr)) return false;
+  // The places of frames are those that the garment was drawn with.
+  if (frames) return form_.frames == garment.form.frames && drawn_ == garment.positions;
+  for (std::int32_t i = 0; i < vertices; ++i)
+    if (place[i][0] != garment.rest(i, 0) || place[i][1] != garment.rest(i, 1)) return false;
   return true;
 }
 
@@ -44,13 +87,11 @@ void Topology::measure_faces() {
   vertex_area.assign(vertices, 0.0);
   min_height = std::numeric_limits<double>::infinity();
   for (std::size_t f = 0; f < faces.size(); ++f) {
-    const auto& p = rest[faces[f][0]];
-    const auto& q = rest[faces[f][1]];
-    const auto& r = rest[faces[f][2]];
+    const auto &p = corner[f][0], &q = corner[f][1], &r = corner[f][2];
     area[f] = 0.5 * std::abs((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]));
     double longest = 0.0;
     for (int i = 0; i < 3; ++i) {
-      longest = std::max(longest, rest_length(faces[f][(i + 1) % 3], faces[f][(i + 2) % 3]));
+      longest = std::max(longest, rest_length(static_cast<std::int32_t>(f), i));
       vertex_area[faces[f][i]] += area[f] / 3.0;
     }
     max_edge = std::max(max_edge, longest);
@@ -70,8 +111,10 @@ void Topology::join_faces() {
   std::sort(halves.begin(), halves.end(),
             [](const Half& x, const Half& y) { return std::tie(x.a, x.b, x.face) < std::tie(y.a, y.b, y.face); });
   opposite.assign(faces.size(), {-1, -1, -1});
+  std::vector<const Half*> first_side;
   for (std::size_t k = 0; k < halves.size();) {
     edges.push_back({halves[k].a, halves[k].b});
+    first_side.push_back(&halves[k]);
     if (k + 1 < halves.size() && halves[k + 1].a == halves[k].a && halves[k + 1].b == halves[k].b) {
       const Half &s = halves[k], &t = halves[k + 1];
       opposite[s.face][s.corner] = faces[t.face][t.corner];
@@ -81,7 +124,7 @@ void Topology::join_faces() {
       k += 1;
     }
   }
-  for (const auto& [a, b] : edges) mean_edge += rest_length(a, b);
+  for (const Half* side : first_side) mean_edge += rest_length(side->face, side->corner);
   mean_edge /= static_cast<double>(edges.size());
 }
 
@@ -121,8 +164,9 @@ void Topology::list_faces_of_vertices() {
     for (const auto v : faces[f]) face_of_vertex[next[v]++] = f;
 }
 
-double Topology::rest_length(std::int32_t a, std::int32_t b) const {
-  return std::hypot(rest[a][0] - rest[b][0], rest[a][1] - rest[b][1]);
+double Topology::rest_length(std::int32_t face, int i) const {
+  const auto &a = corner[face][(i + 1) % 3], &b = corner[face][(i + 2) % 3];
+  return std::hypot(a[0] - b[0], a[1] - b[1]);
 }
 
 }  // namespace weft::cloth

@@ -15,14 +15,14 @@ class ToySimulator final : public Simulator {
 
   SimulatorCapabilities capabilities() const override {
     SimulatorCapabilities c;
-    c.snapshots = c.self_contact = c.ground_friction = c.pins = c.gravity_any_direction = p_.declare;
+    c.snapshots = c.self_contact = c.ground_friction = c.pins = c.gravity_any_direction = c.rest_frames = p_.declare;
     return c;
   }
 
   void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) override {
     const bool tilted = scene.gravity.x() != 0.0 || scene.gravity.y() != 0.0;
     SimulatorCapabilities can = capabilities();
-    if (p_.accept) can.pins = can.gravity_any_direction = true;
+    if (p_.accept) can.pins = can.gravity_any_direction = can.rest_frames = true;
     if (is("stretches_by_direction")) can.orthotropic = true;
     check_reset("toy", garment.get(), fabric, scene, can);
     garment_ = std::move(garment);
@@ -33,7 +33,9 @@ class ToySimulator final : public Simulator {
     s_ = {};
     s_.x = garment_->positions;
     if (scene.ground_height && !is("reset_lifts_to_contact_height"))
-      s_.x.col(2) = s_.x.col(2).cwiseMax(*scene.ground_height + fabric.thickness_m);
+      s_.x = positions_on_ground(*garment_, *scene.ground_height, fabric.thickness_m);
+    if (is("reset_lays_layers_above_each_other") && scene.ground_height)
+      s_.x.col(2) = garment_->positions.col(2).cwiseMax(*scene.ground_height + fabric.thickness_m);
     if (is("reset_forgets")) s_.x.array() += 1e-9 * resets_++;
     if (is("same_calls_same_bits")) s_.x.array() += 1e-12 * ordinal_;
     if (is("same_bits_on_two_threads")) s_.x.array() += 1e-12 * thread_ordinal();
@@ -100,6 +102,11 @@ class ToySimulator final : public Simulator {
       if (is("translation_changes_nothing") && !s_.held.empty()) s_.x(v, 0) += 1e-5 * s_.x(v, 0);
       if (is("turn_about_z_changes_nothing") && !s_.held.empty()) s_.x(v, 0) += 1e-5;
     }
+    // Threads that want the size of the picture; a seam that straightens; a back that rises through the front.
+    if (is("frames_are_the_rest_shape") && garment_->has_frames()) s_.x.col(0) *= 0.999;
+    if (is("seams_carry_no_moment") && garment_->form.seams.rows() > 0) s_.x.col(2) *= 0.999;
+    if (is("sewn_layers_do_not_cross") && garment_->has_frames() && !s_.held.empty())
+      s_.x(garment_->vertex_count() - 1, 2) = 0.01;
     // A vertex beside the carried corner rises through the face that the corner spans.
     if (is("layers_do_not_cross") && s_.loft[0]) s_.x(2, 2) = 0.05;
     ++s_.frame;
