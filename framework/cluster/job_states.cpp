@@ -139,6 +139,8 @@ class Look {
     bool report_goes_on = is_going_on(submission_.report);
     states_.is_over = answers_ && states_.waiting + states_.running == 0 && states_.merge != "waiting" &&
                       states_.merge != "running" && !report_goes_on;
+    // A merge ends with 0 only if everything is there; files are counted for people.
+    if (last_is_good && submission_.scripts.is_shared) states_.done = states_.total;
     states_.work_is_done = last_is_good && states_.done >= states_.total;
     return std::move(states_);
   }

@@ -272,6 +272,7 @@ SubmitEnd submit(Submission& submission, const Slurm& slurm, const std::function
     return SubmitEnd::nothing_left;
   }
   prepare();
+  submission.there = unit_files_there(submission.work);  // rows that are to be run again are gone
   for (const JobKind kind : {JobKind::task, JobKind::merge, JobKind::report}) {
     if (kind == JobKind::merge && !submission.scripts.is_shared) continue;
     const auto tasks = std::max<std::int64_t>(1, submission.tasks);

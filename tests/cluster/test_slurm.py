@@ -10,6 +10,7 @@ is not installed, or this is not root, and nothing was tested.
 import argparse
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -370,6 +371,14 @@ def learned(bench):
     work, file = "train experiment.yaml --data data", "/model.h5"
     bench.submit(work, "model", file=file)
     bench.require_done(work, file=file)
+    # What was planned decides the numeric variant, also on a machine that would choose another one.
+    plan = re.sub(r'"kernels": "v\d"', '"kernels": "v2"', (bench.out / "slurm/train-model/identity.json").read_text())
+    require('"kernels": "v2"' in plan, f"no variant was planned: {plan}")
+    (bench.folder / "variant/slurm/train-model").mkdir(parents=True)
+    (bench.folder / "variant/slurm/train-model/identity.json").write_text(plan)
+    bench.run(f"{work} --out variant/model.h5 --quiet")
+    saved = (bench.folder / "variant/config.yaml").read_text()
+    require(re.search("kernels: \"?v2", saved), f"another variant was taken: {saved}")
     model = f"--set predictor.params.model={bench.folder}/model/model.h5"  # a saved config holds the whole path
     work = f"calibrate experiment.yaml {model} --data data"
     bench.submit(work, "calibrated", file=file)
