@@ -333,7 +333,10 @@ def refusals(bench):
     require("sbatch refused" in text and "partition" in text, f"a partition that is not there: {text}")
     text = bench.run(f"{SWEEP} --out wrong2", "--on", "slurm:tset", code=2)
     require("no profile is called tset" in text and "nearest: test" in text, f"a wrong name: {text}")
-    bench.environment["SLURM_CONF"], kept = "/nowhere", bench.environment["SLURM_CONF"]
+    kept = bench.environment["SLURM_CONF"]
+    elsewhere = bench.folder / "elsewhere.conf"
+    elsewhere.write_text(re.sub("SlurmctldPort=.*", "SlurmctldPort=1", Path(kept).read_text()))
+    bench.environment["SLURM_CONF"] = str(elsewhere)
     text = bench.run(f"{SWEEP} --out wrong3", "--on", "slurm:test", code=1)
     bench.environment["SLURM_CONF"] = kept
     require("Slurm does not say" in text, f"without a controller: {text}")
