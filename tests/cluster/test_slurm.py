@@ -287,7 +287,8 @@ def too_little_memory(bench):
     bench.submit(SWEEP, "memory", profile="small")
     status = bench.wait_until_over()
     table = (bench.out / "ablation.csv").read_text()
-    require(not status["is_done"] and "there was not enough memory" in table, f"{status}: {table}")
+    is_said = "there was not enough memory" in table or "std::bad_alloc" in table
+    require(not status["is_done"] and is_said, f"{status}: {table}")
     require("the merge failed" in bench.run(f"status {bench.out}", code=1), "the failure is not said")
     bench.submit(f"{SWEEP} --retry-failed=all", "memory")
     bench.require_done(SWEEP)
