@@ -640,7 +640,7 @@ Positions positions_on_ground(const Garment& garment, double ground, double thic
     if (garment.form.layers.empty())
       positions(v, 2) = std::max(positions(v, 2), ground + thickness);
     else
-      positions(v, 2) = (ground + thickness) + garment.layer(v) * thickness;
+      positions(v, 2) = (ground + thickness) + garment.layer(v) * thickness + positions(v, 2);
   }
   return positions;
 }
@@ -650,7 +650,7 @@ LowestLayer lowest_layer(const Garment& garment, const Positions& shape) {
   LowestLayer lowest;
   for (Index v = 0; v < shape.rows(); ++v) {
     if (garment.layer(v) > 0.0) continue;
-    lowest.height += shape(v, 2);
+    lowest.height += shape(v, 2) - garment.positions(v, 2);
     ++lowest.vertices;
   }
   lowest.height /= std::max<double>(1.0, static_cast<double>(lowest.vertices));

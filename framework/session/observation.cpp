@@ -60,13 +60,16 @@ std::shared_ptr<const Positions> filled_start(const Task& task, const Observatio
   Index count = 0;
   for (Index v = 0; v < expected.rows(); ++v) {
     if (!seen.sees(v) || garment.layer(v) > 0.0) continue;
-    height += seen.positions(v, 2);
+    height += seen.positions(v, 2) - (garment.form.layers.empty() ? 0.0 : garment.positions(v, 2));
     ++count;
   }
   if (count > 0) {
     height /= static_cast<double>(count);
     const double ground = task.scene.ground_height.value_or(0.0);
-    for (Index v = 0; v < expected.rows(); ++v) expected(v, 2) = height + garment.layer(v) * (height - ground);
+    for (Index v = 0; v < expected.rows(); ++v)
+      expected(v, 2) = garment.form.layers.empty()
+                           ? height
+                           : height + garment.layer(v) * (height - ground) + garment.positions(v, 2);
   }
   return filled(seen, expected);
 }

@@ -13,10 +13,11 @@ namespace weft {
 
 /// What became of one correction of a session.
 struct CorrectionRecord {
-  Index started = 0;          ///< segments executed when it started
+  Index started = 0;  ///< segments executed when it started
   /// Simulated error of the plan that it started from; NaN: the plan could not be simulated, or was not.
   double forecast_mm = std::numeric_limits<double>::quiet_NaN();
-  double corrected_mm = std::numeric_limits<double>::quiet_NaN();  ///< simulated error of its best plan; NaN: there is none
+  double corrected_mm =
+      std::numeric_limits<double>::quiet_NaN();  ///< simulated error of its best plan; NaN: there is none
   std::vector<CorrectionStep> steps;
   double seconds = 0.0;  ///< wall time, the plans of the network included
   bool dropped = false;  ///< it took longer than the budget; the plan before it stayed in force

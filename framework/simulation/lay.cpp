@@ -38,6 +38,42 @@ Index boundary_loops(const Faces& faces, Index vertices) {
   return loops;
 }
 
+/// Sheets of cloth below each vertex: faces without it that a line down from it meets.
+std::vector<double> layers_below(const Positions& x, const Faces& faces) {
+  std::vector<double> layers(static_cast<std::size_t>(x.rows()), 0.0);
+  // Faces by cell of a grid over the table, so that each vertex looks at few.
+  const Eigen::RowVector2d low = x.leftCols<2>().colwise().minCoeff();
+  const double size = (x.leftCols<2>().colwise().maxCoeff() - low).maxCoeff();
+  constexpr int kCells = 64;
+  const auto cell = [&](double at, int axis) {
+    return std::clamp(static_cast<int>((at - low[axis]) / size * kCells), 0, kCells - 1);
+  };
+  std::vector<std::vector<int>> cells(kCells * kCells);
+  for (Index f = 0; f < faces.rows(); ++f) {
+    Eigen::RowVector2d least = x.row(faces(f, 0)).head<2>(), most = least;
+    for (int k = 1; k < 3; ++k) {
+      least = least.cwiseMin(x.row(faces(f, k)).head<2>());
+      most = most.cwiseMax(x.row(faces(f, k)).head<2>());
+    }
+    for (int j = cell(least.y(), 1); j <= cell(most.y(), 1); ++j)
+      for (int i = cell(least.x(), 0); i <= cell(most.x(), 0); ++i)
+        cells[static_cast<std::size_t>(j * kCells + i)].push_back(static_cast<int>(f));
+  }
+  for (Index v = 0; v < x.rows(); ++v) {
+    for (const int f : cells[static_cast<std::size_t>(cell(x(v, 1), 1) * kCells + cell(x(v, 0), 0))]) {
+      if (faces(f, 0) == v || faces(f, 1) == v || faces(f, 2) == v) continue;
+      const Eigen::RowVector3d a = x.row(faces(f, 0)), u = x.row(faces(f, 1)) - a, w = x.row(faces(f, 2)) - a,
+                               p = x.row(v) - a;
+      const double det = u.x() * w.y() - u.y() * w.x();
+      if (det == 0.0) continue;
+      const double s = (p.x() * w.y() - p.y() * w.x()) / det, t = (u.x() * p.y() - u.y() * p.x()) / det;
+      if (s >= 0.0 && t >= 0.0 && s + t < 1.0 && s * u.z() + t * w.z() < p.z())
+        layers[static_cast<std::size_t>(v)] += 1.0;
+    }
+  }
+  return layers;
+}
+
 }  // namespace
 
 Positions lying_pose(const Garment& garment) {
@@ -100,7 +136,7 @@ LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayP
     v = simulator.velocities();
   };
   run(1.0, frames(params.fall_s), true);
-  run(params.press, frames(params.press_s), false);
+  run(params.load, frames(params.press_s), false);
   Scene scene;
   simulator.reset(start, fabric, scene);
   simulator.set_state(x, Positions::Zero(x.rows(), 3), {});
@@ -114,17 +150,22 @@ LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayP
 
   const Eigen::RowVector2d low = x.leftCols<2>().colwise().minCoeff(), high = x.leftCols<2>().colwise().maxCoeff();
   x.leftCols<2>().rowwise() -= 0.5 * (low + high);
-  // Whole micrometres and thousandths of a thickness keep the files short; a layer within a thousandth is on the table.
+  // Whole micrometres keep the files short. Heights are those above each vertex's layer, so that any thickness fits.
   result.positions = (x.array() * 1e6).round() / 1e6;
+  result.layers = layers_below(result.positions, garment.faces);
   for (Index i = 0; i < x.rows(); ++i) {
-    const double layer = std::max(0.0, std::round((x(i, 2) / params.thickness_m - 1.0) * 1e3) / 1e3);
-    result.layers.push_back(layer <= 0.01 ? 0.0 : layer);
-    result.positions(i, 2) = std::round((1.0 + result.layers.back()) * params.thickness_m * 1e7) / 1e7;
+    const double above = x(i, 2) - (1.0 + result.layers[static_cast<std::size_t>(i)]) * params.thickness_m;
+    result.positions(i, 2) = std::max(0.0, std::round(above * 1e6) / 1e6);
   }
-  result.height = result.positions.col(2).maxCoeff();
-  result.crossings = count_intersections(result.positions, garment.faces);
   start->positions = result.positions;
+  start->form.layers = result.layers;
   result.median_strain = median_strain(*start);
+  // As thin and as thick cloths lie.
+  for (const double thickness : {0.5 * params.thickness_m, params.thickness_m, 4.0 * params.thickness_m}) {
+    const Positions lying = positions_on_ground(*start, 0.0, thickness);
+    result.crossings = std::max(result.crossings, count_intersections(lying, garment.faces));
+    if (thickness == params.thickness_m) result.height = lying.col(2).maxCoeff();
+  }
   return result;
 }
 

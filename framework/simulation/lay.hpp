@@ -11,7 +11,7 @@ struct LayParams {
   double stretch_n_per_m = 200.0;
   double bend_n_m = 2.0e-5;
   double air_per_s = 4.0;
-  double press = 20.0;
+  double load = 20.0;
   double fall_s = 4.0;
   double press_s = 2.0;
   template <class Visitor>
@@ -21,17 +21,17 @@ struct LayParams {
     v("stretch_n_per_m", stretch_n_per_m, range(1, 1e5, "N/m"), "Its membrane stiffness.");
     v("bend_n_m", bend_n_m, range(0, 1, "N m"), "Its bending stiffness.");
     v("air_per_s", air_per_s, range(0, 100, "1/s"), "Drag that slows its fall.");
-    v("press", press, range(1, 1000), "The press: so many times gravity lie on the cloth.");
+    v("load", load, range(1, 1000), "The press: so many times gravity pull on the cloth.");
     v("fall_s", fall_s, range(0.1, 60, "s"), "Longest time of the fall.");
     v("press_s", press_s, range(0, 60, "s"), "Time under the press.");
   }
 };
 
 struct LaidGarment {
-  Positions positions;         ///< [V, 3] m, on the ground z = 0
-  std::vector<double> layers;  ///< [V] z over the thickness, less 1
+  Positions positions;         ///< [V, 3] m, z above the place of the vertex's layer
+  std::vector<double> layers;  ///< [V] sheets of cloth below
   Index crossings_before = 0;  ///< of edges and faces, as drawn
-  Index crossings = 0;         ///< at the end; of the layers in their places
+  Index crossings = 0;         ///< most at the end, of half, all and four times the thickness
   Index frames = 0;            ///< simulated
   double height = 0.0;         ///< m, of the highest vertex
   double median_strain = 0.0, largest_strain = 0.0;

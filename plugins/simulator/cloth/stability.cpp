@@ -98,7 +98,8 @@ Spectrum largest_frequencies(const Elements& elements, const std::vector<double>
   };
   if (scaling.stages() > 1) return {scaling.largest(), scaling.largest(bending)};
   result.bending = largest_eigenvalue(masses, bending);
-  result.membrane = elements.has_frames() ? membrane_frequency<3>(elements, masses) : membrane_frequency<2>(elements, masses);
+  result.membrane =
+      elements.has_frames() ? membrane_frequency<3>(elements, masses) : membrane_frequency<2>(elements, masses);
   return result;
 }
 
