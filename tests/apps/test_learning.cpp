@@ -253,7 +253,7 @@ TEST_F(Ranks, OnOneMachineAndUnderLaunchersGiveTheBytesOfOneProcess) {
 }
 
 TEST_F(Ranks, ARankThatIsKilledEndsAllAndTheSameCommandGoesOn) {
-  iterations_ = 400;
+  iterations_ = 200;
   ASSERT_EQ(weft_command(train("alone")).code, 0);
   // The third of four ranks is killed when the first model was written.
   const Outcome killed = test::run_shell(

@@ -247,18 +247,19 @@ TEST(Dataset, ShapesCanStayInTheFiles) {
   files.require_task(toy_task());
   for (std::size_t i = 0; i < memory.examples.size(); ++i) {
     const Example &there = memory.examples[i], &e = files.examples[i];
-    ASSERT_NE(e.stored.file, nullptr);
+    ASSERT_TRUE(e.failed() || e.stored.file != nullptr);
     EXPECT_TRUE(e.shapes.empty());
     EXPECT_EQ(e.read_shapes(4), there.shapes);
     EXPECT_EQ(there.read_shapes(4), there.shapes);
     EXPECT_EQ(e.q, there.q);
     EXPECT_EQ(e.controls, there.controls);
-    if (!e.failed()) EXPECT_EQ(files.shape(i, e.segments()), memory.shape(i, e.segments()));
+    if (e.failed()) continue;
+    EXPECT_EQ(files.shape(i, e.segments()), memory.shape(i, e.segments()));
   }
   Dataset both = load_dataset(folder / "d", 0, ShapesIn::files), other = files;
   other.header.identity = "another";
   append_dataset(both, std::move(other));
-  EXPECT_EQ(both.examples[24].read_shapes(4), memory.examples[0].shapes);
+  EXPECT_EQ(both.examples[24 + 5].read_shapes(4), memory.examples[5].shapes);
   write_shard(folder / "again.h5", {files.header, {files.examples.begin(), files.examples.begin() + 8}});
   EXPECT_EQ(bytes_of(folder / "again.h5"), bytes_of(folder / "d" / shard_name(0)));
 }
@@ -280,8 +281,11 @@ TEST(Dataset, WhatChangedInAFileIsFoundWhenItIsUsed) {
   auto changed = whole;
   changed[at + 5] ^= 1;
   EXPECT_THAT(problem(changed, 3), HasSubstr("example 3 is damaged"));
-  EXPECT_EQ(problem(changed, 2), "");  // the others are as they were
   EXPECT_THAT(problem(whole.substr(0, at), 3), HasSubstr("example 3 is missing: the file was cut short"));
+  std::ofstream(file, std::ios::binary) << changed;
+  const Dataset files = load_dataset(folder / "d", 0, ShapesIn::files);
+  EXPECT_NO_THROW(files.examples[2].read_shapes(4));  // the others are as they were
+  std::ofstream(file, std::ios::binary) << whole;
   // The checksum is of the whole example, not of its shapes alone.
   Example other = load_dataset(folder / "d", 0, ShapesIn::files).examples[3];
   other.q[0] += 0.25;
