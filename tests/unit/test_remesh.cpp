@@ -240,7 +240,7 @@ TEST(ImportRemesh, FlatPanelsKeepOutlineAndNamedVertices) {
   options.remesh = MeshSize{0.03};
   const auto after = import_garment(file, options);
   EXPECT_THAT(after.findings.end()[-2].text, ::testing::HasSubstr("weft's mesher of flat panels"));
-  ASSERT_TRUE(after.foldable());
+  ASSERT_TRUE(after.is_flat());
   EXPECT_EQ(count_intersections(after.mesh.positions, after.mesh.faces), 0);
   for (const auto& [name, v] : before.vertices) {
     // The mesher writes whole micrometres.
@@ -267,13 +267,13 @@ TEST(ImportRemesh, HolesAndNamesInsideTakeTheIsotropicWay) {
   options.remesh = MeshSize{0.03};
   const auto ring = import_garment(folder.write("ring.obj", disc(true)), options);
   EXPECT_THAT(ring.findings.end()[-2].text, ::testing::HasSubstr("isotropic remeshing"));
-  EXPECT_TRUE(ring.foldable());
+  EXPECT_TRUE(ring.is_flat());
   options.names = {parse_vertex_name("--name", "middle=nearest(0,0)")};
   const auto named = import_garment(folder.write("disc.obj", disc(false)), options);
   EXPECT_THAT(named.findings.end()[-2].text, ::testing::HasSubstr("isotropic remeshing"));
   EXPECT_EQ(named.mesh.positions.row(named.vertices.at("middle")).norm(), 0.0);
   EXPECT_EQ(named.mesh.rest, named.mesh.positions.leftCols<2>());
-  EXPECT_TRUE(named.foldable());
+  EXPECT_TRUE(named.is_flat());
 }
 
 }  // namespace

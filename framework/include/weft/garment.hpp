@@ -14,7 +14,7 @@ namespace weft {
 /// What a garment has that one place in the plane for each vertex cannot say.
 struct GarmentForm {
   RestFrames frames;           ///< [F, 4] m; no rows: the rest shape is one place in the plane for each vertex
-  std::vector<double> layers;  ///< [V] cloth below each vertex, in thicknesses; empty: the garment is one layer
+  std::vector<double> layers;  ///< [V] sheets of cloth below each vertex; empty: the garment is one layer
   Edges seams;                 ///< [S, 2] sorted: edges across which no bending moment acts
   /// Whether a place in the plane for each vertex says all.
   bool empty() const { return frames.rows() == 0 && layers.empty() && seams.rows() == 0; }
@@ -37,7 +37,7 @@ struct Garment {
   Index vertex_count() const { return positions.rows(); }
   Index face_count() const { return faces.rows(); }
   bool has_frames() const { return form.frames.rows() > 0; }
-  /// Number of the vertex's layer: 0 lies on the table, 1 on layer 0. A wrinkle may lie between two layers.
+  /// Number of the vertex's layer: 0 lies on the table, 1 on layer 0.
   double layer(Index vertex) const { return form.layers.empty() ? 0.0 : form.layers[static_cast<std::size_t>(vertex)]; }
   /// @throws ConfigError naming the nearest known name.
   WEFT_API Index vertex(const std::string& vertex_name) const;
@@ -59,12 +59,13 @@ WEFT_API Garment read_garment(const ConfigNode& node);
 WEFT_API std::vector<std::string> garment_warnings(const Garment& garment);
 
 /// Where a simulator's reset() puts the cloth, [V, 3] m. A vertex below contact height (ground + thickness) is lifted to
-/// it. In a garment with layers every vertex lies at ground + (layer + 1) thickness.
+/// it. In a garment with layers every vertex lies at ground + (layer + 1) thickness + its own z, which is its height above
+/// its layer.
 WEFT_API Positions positions_on_ground(const Garment& garment, double ground, double thickness);
 
 /// What a height of the lowest layer is measured from: its vertices, all of a garment without layers.
 struct LowestLayer {
-  double height = 0.0;  ///< m, mean z
+  double height = 0.0;  ///< m, mean z; of a garment with layers less each vertex's height above its layer
   Index vertices = 0;
 };
 WEFT_API LowestLayer lowest_layer(const Garment& garment, const Positions& shape);
