@@ -94,6 +94,14 @@ def name_of(process):
         return ""
 
 
+def has_open_in(process, folder):
+    """Whether a process has a file of a folder open."""
+    try:
+        return any(os.readlink(file).startswith(f"{folder}/") for file in Path(f"/proc/{process}/fd").iterdir())
+    except OSError:
+        return False
+
+
 def descendants(process):
     """The processes that a process started, and those that they started."""
     parents = {one: parent_of(one) for one in all_processes()}
@@ -260,6 +268,9 @@ class Slurm:
                 self.kill_node(node)
         for node in self.nodes:
             for process in self.processes_on(node):
+                self._send(process, signal.SIGKILL)
+        for process in all_processes():  # steps that waited for a daemon
+            if name_of(process).startswith("slurmstepd") and has_open_in(process, self.folder):
                 self._send(process, signal.SIGKILL)
         for daemon in (self._controller, self._munged):
             if daemon is not None and daemon.poll() is None:
