@@ -71,7 +71,10 @@ std::function<MaterialKnowledge()> EstimateChain::knowledge_later(std::int64_t s
 
 std::vector<Estimate> EstimateChain::all() const {
   std::vector<Estimate> list;
-  for (const auto& one : estimates_) list.push_back(one.get());
+  for (const auto& one : estimates_) {
+    list.push_back(one.get());
+    list.back().sequence.reset();  // a snapshot of a plugin must not outlive the host
+  }
   return list;
 }
 

@@ -133,7 +133,7 @@ struct Estimate {
   Index iterations = 0;
   Index evaluations = 0;                         ///< points predicted, over all instances
   std::optional<MaterialProperties> corrected;   ///< q by simulations (EstimateCorrector)
-  std::shared_ptr<const TwinSequence> sequence;  ///< simulated at `corrected`; null without
+  std::shared_ptr<const TwinSequence> sequence;  ///< at `corrected`, for the next estimate; null in results
   Index simulations = 0;                         ///< simulated sequences of that
   double residual_mm = 0.0;                      ///< root mean square of seen - simulated
   double seconds = 0.0;

@@ -86,6 +86,7 @@ std::vector<Estimate> replay_estimates(const SessionEstimator& estimator, const 
     request.round = j - 1;
     estimates.push_back(estimator.next(request, estimates.empty() ? nullptr : &estimates.back()));
   }
+  for (auto& one : estimates) one.sequence.reset();  // snapshots of a plugin must not outlive the host
   return estimates;
 }
 

@@ -412,8 +412,8 @@ TEST(Import, LaysABentSheetFlatByATextureOfItsSize) {
   const auto other = import_text(bent(1.0, 1.5));
   EXPECT_FALSE(other.is_flat());
   EXPECT_THAT(found(other, "texture"), HasSubstr("has nothing to do with size and is ignored"));
-  EXPECT_THAT(found(other, "rest shape"), AllOf(HasSubstr("limit 1: not flat"), HasSubstr("an open sheet"),
-                                                HasSubstr("weft does not support yet")));
+  EXPECT_THAT(found(other, "rest shape"), AllOf(HasSubstr("fact 1: not flat"), HasSubstr("an open sheet"),
+                                                HasSubstr("laid on the table by simulation")));
 }
 
 TEST(Import, TexturesOfFlatMeshesAreTakenOnlyInMetres) {
