@@ -530,6 +530,7 @@ Garment make_garment(const Mesh& mesh, std::string name, std::map<std::string, I
   check_indices(mesh, where);
   check_manifold(mesh, where);
   check_form(mesh, form, where);
+  form.frames.array() += 0.0;  // -0 becomes 0, so that equal rest shapes have equal hashes and files
   RestPositions rest = rest_of(mesh, form.frames.rows() > 0, where);
   check_shape(mesh, rest, form.frames, where);
   for (const auto& [key, index] : vertices) {
