@@ -22,7 +22,7 @@
 namespace weft::app {
 namespace {
 
-std::atomic<bool> cancelled = false;  // set in a signal handler
+std::atomic<bool> worker_cancelled = false;  // set in a signal handler
 
 /// Makes examples. Task and simulator stay from one request to the next.
 class ExampleServer {
@@ -37,7 +37,7 @@ class ExampleServer {
       HostOptions options;
       options.threads = 1;
       options.seed = static_cast<std::uint64_t>(params_.seed);
-      options.cancel = &cancelled;
+      options.cancel = &worker_cancelled;
       host_ = make_host(registry_of_request(request.at("plugin_path").get<std::string>()), options);
       task_ = make_task(params_.task, config, *host_);
       simulator_ = host_->create<Simulator>(task_->simulator);
@@ -61,6 +61,9 @@ class ExampleServer {
 /// A process that ablate, evaluate and generate start for their cells and examples.
 int work() {
   install_crash_report(kCrashReportFile, write_where);
+  CellServer cells(&worker_cancelled);
+  ExampleServer examples;
+  EvaluationServer evaluations(&worker_cancelled);
   // What one cell or example may take is all that the task was given: one that asks for more fails alone, with this reason,
   // instead of the whole task.
   if (const auto granted = memory_of_slurm_mb()) {
@@ -69,9 +72,6 @@ int work() {
     limit.rlim_cur = std::min(limit.rlim_max, static_cast<rlim_t>(*granted) << 20);
     setrlimit(RLIMIT_DATA, &limit);
   }
-  CellServer cells(&cancelled);
-  ExampleServer examples;
-  EvaluationServer evaluations(&cancelled);
   serve_work(
       [&](const std::string& text) {
         const auto request = nlohmann::ordered_json::parse(text);
@@ -79,7 +79,7 @@ int work() {
         if (EvaluationServer::knows(kind)) return evaluations.answer(text);
         return kind == "example" ? examples.answer(request) : cells.answer(text);
       },
-      cancelled);
+      worker_cancelled);
   return 0;
 }
 

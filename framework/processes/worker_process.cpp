@@ -10,6 +10,8 @@
 #include <ctime>
 #include <iostream>
 #include <limits>
+#include <new>
+#include <string_view>
 
 #include "processes/child_process.hpp"
 #include "processes/crash_report.hpp"
@@ -33,7 +35,9 @@ std::string last_words(const std::string& errors) {
   return "; its last words: " + words;
 }
 
-constexpr const char* kCancelled = "cancelled";  // in the place of an answer
+// In the place of an answer:
+constexpr const char* kCancelled = "cancelled";
+constexpr const char* kNoMemory = "no memory";  // outside of the work: the process ends
 
 std::atomic<bool>* cancel_of_server = nullptr;
 
@@ -158,6 +162,10 @@ WorkEnd WorkerProcess::run_once(const std::string& request, const std::function<
     switch (s.child->read_line(line, seconds_from_now(kLook))) {
       case ChildProcess::Outcome::done:
         if (line == kCancelled) return {WorkEnd::Kind::lost, "its process was told from outside to stop"};
+        if (line == kNoMemory) {
+          s.child.reset();
+          return {WorkEnd::Kind::lost, "there was not enough memory"};
+        }
         return {WorkEnd::Kind::answered, line, watch.used()};
       case ChildProcess::Outcome::ended:
       case ChildProcess::Outcome::too_long:
@@ -180,15 +188,24 @@ void serve_work(const std::function<std::string(const std::string& request)>& an
   // Answers go to a copy of stdout, which nothing else can write to.
   const int out = fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 10);
   dup2(STDERR_FILENO, STDOUT_FILENO);
-  for (std::string request; std::getline(std::cin, request);) {
-    cancelled = false;
-    std::string line = answer(request) + "\n";
-    if (cancelled) line = std::string(kCancelled) + "\n";
-    for (std::size_t sent = 0; sent < line.size();) {
-      const ssize_t n = write(out, line.data() + sent, line.size() - sent);
-      if (n < 0 && errno != EINTR) return;  // the parent is gone
-      sent += static_cast<std::size_t>(std::max<ssize_t>(n, 0));
+  // Whether it was written; false: the parent is gone. Takes no memory.
+  const auto send = [out](std::string_view line) {
+    while (!line.empty()) {
+      const ssize_t n = write(out, line.data(), line.size());
+      if (n < 0 && errno != EINTR) return false;
+      line.remove_prefix(static_cast<std::size_t>(std::max<ssize_t>(n, 0)));
     }
+    return true;
+  };
+  std::cin.exceptions(std::ios::badbit);  // a request that finds no memory is no end of the requests
+  try {
+    for (std::string request; std::getline(std::cin, request);) {
+      cancelled = false;
+      const std::string line = answer(request);
+      if (!send(cancelled ? std::string_view(kCancelled) : std::string_view(line)) || !send("\n")) return;
+    }
+  } catch (const std::bad_alloc&) {
+    if (send(kNoMemory)) send("\n");
   }
 }
 

@@ -395,9 +395,8 @@ def learned(bench):
 
 
 SCENARIOS = [refusals, plain, node_killed, killed_and_requeued, asked_to_end, never_starts, controller_restarted, no_room,
-             cancelled, killed_while_submitting, generated, physics]
-# With 1 MB it depends on the first allocation that fails whether a cell is lost, as it should be, or counts as crashed.
-LONGER = [real_time_limit, learned, too_little_memory]
+             cancelled, killed_while_submitting, too_little_memory, generated, physics]
+LONGER = [real_time_limit, learned]
 
 
 def main():

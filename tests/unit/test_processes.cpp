@@ -132,6 +132,13 @@ TEST(Worker, IsLostWhenItIsKilledThreeTimesButNotBefore) {
   EXPECT_THAT(end.text, AllOf(HasSubstr("SIGKILL"), HasSubstr("memory full"), HasSubstr("3 times")));
 }
 
+TEST(Worker, ThatFindsNoMemoryForItsRequestIsLost) {
+  WorkerProcess worker(shell("read x; echo 'no memory'"));
+  const WorkEnd end = worker.run("x", [] { return WorkLimits(); }, [] { return false; });
+  EXPECT_EQ(end.kind, WorkEnd::Kind::lost);
+  EXPECT_THAT(end.text, AllOf(HasSubstr("there was not enough memory"), HasSubstr("3 times")));
+}
+
 TEST(Worker, ThatHangsIsEnded) {
   WorkerProcess sleeper(shell("read x; sleep 1000"));
   const WorkEnd idle = sleeper.run(
