@@ -3,6 +3,7 @@
 #include <clocale>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 
 #include "cluster/job_scripts.hpp"
@@ -27,13 +28,16 @@ std::string unknown_command(const CLI::App& app) {
          ", must be " + weft::one_of(known) + weft::nearest_hint(rest.front(), known);
 }
 
-/// The exit code of a command: one that SIGTERM stopped goes on when it is started again.
-int failed_or_stopped(int code) { return code == 1 && weft::app::Context::is_terminated() ? weft::kStartAgain : code; }
+/// The exit code of a command. The script of a Slurm job starts one that SIGTERM stopped again.
+int failed_or_stopped(int code) {
+  const bool is_job = std::getenv("SLURM_JOB_ID") != nullptr;
+  return code == 1 && is_job && weft::app::Context::is_terminated() ? weft::kStartAgain : code;
+}
 
 }  // namespace
 
 /// `weft`: parses the command line, runs one command, turns errors into exit codes: 0 done, 1 failed, 2 wrong use, 3 others
-/// are at work on the rest (--share), 75 SIGTERM came before it was done.
+/// are at work on the rest (--share), 75 SIGTERM came before it was done, in a job of Slurm.
 int main(int argc, char** argv) {
   using namespace weft;
   using namespace weft::app;
