@@ -18,6 +18,36 @@ std::string success_text(double error_mm) {
   return "no success within " + std::to_string(kSuccessLimitsMm.back()) + " mm";
 }
 
+/// The lines that end a run. @param lag correction.lag.
+void say_result(const Context& context, const SessionResult& result, Index lag) {
+  char line[200];
+  const char* const seen = result.shapes_are_true ? "" : "observed ";
+  if (result.goal.rows() > 0) {
+    std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm), IoU %.3f, %s",
+                  seen, result.error_mm, result.rounds.size(), result.default_error_mm, result.errors.iou,
+                  success_text(result.error_mm).c_str());
+    context.say(line);
+  }
+  if (result.surface) {
+    char iou[40] = "";
+    if (std::isfinite(result.errors.iou)) std::snprintf(iou, sizeof(iou), ", IoU %.3f", result.errors.iou);
+    std::snprintf(line, sizeof(line), "%schamfer distance %.1f mm after %zu segments (default control: %.1f mm)%s",
+                  seen, result.chamfer_mm, result.rounds.size(), result.default_chamfer_mm, iou);
+    context.say(line);
+  }
+  if (!result.rounds.empty()) {
+    const PlanTimes plans = plan_times(result, lag);
+    double estimate = 0.0;
+    for (const auto& one : result.estimates) estimate = std::max(estimate, one.seconds);
+    std::snprintf(
+        line, sizeof(line),
+        "first plan %.2f s (of %.0f), 95 %% of later plans %.2f s (of %.1f), slowest estimate %.2f s; %td of %td "
+        "plans late",
+        plans.first, PlanTimes::kFirst, plans.later, plans.limit, estimate, plans.late, plans.plans);
+    context.say(line);
+  }
+}
+
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
   given.saved_config();  // before any work, because it also checks the slots that the session does not use
@@ -76,32 +106,7 @@ int run(Context& context, const std::string& file) {
   for (const auto& warning : garment_warnings(*given.task.garment)) given.host->log(LogLevel::warning, warning);
   for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
   if (context.json) context.output() << with_times(summary, times);
-  char line[200];
-  const char* const seen = result.shapes_are_true ? "" : "observed ";
-  if (result.goal.rows() > 0) {
-    std::snprintf(line, sizeof(line), "%serror %.1f mm after %zu segments (default control: %.1f mm), IoU %.3f, %s",
-                  seen, result.error_mm, result.rounds.size(), result.default_error_mm, result.errors.iou,
-                  success_text(result.error_mm).c_str());
-    context.say(line);
-  }
-  if (result.surface) {
-    char iou[40] = "";
-    if (std::isfinite(result.errors.iou)) std::snprintf(iou, sizeof(iou), ", IoU %.3f", result.errors.iou);
-    std::snprintf(line, sizeof(line), "%schamfer distance %.1f mm after %zu segments (default control: %.1f mm)%s",
-                  seen, result.chamfer_mm, result.rounds.size(), result.default_chamfer_mm, iou);
-    context.say(line);
-  }
-  if (!result.rounds.empty()) {
-    const PlanTimes plans = plan_times(result, given.params.correction.lag);
-    double estimate = 0.0;
-    for (const auto& one : result.estimates) estimate = std::max(estimate, one.seconds);
-    std::snprintf(
-        line, sizeof(line),
-        "first plan %.2f s (of %.0f), 95 %% of later plans %.2f s (of %.1f), slowest estimate %.2f s; %td of %td "
-        "plans late",
-        plans.first, PlanTimes::kFirst, plans.later, plans.limit, estimate, plans.late, plans.plans);
-    context.say(line);
-  }
+  say_result(context, result, given.params.correction.lag);
   write_page(context, folder);
   context.say("results in " + folder.string());
   return result.released ? 0 : 1;

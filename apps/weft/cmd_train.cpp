@@ -78,6 +78,19 @@ std::vector<std::string> arguments_of_rank(const Context& context, const std::st
   return arguments;
 }
 
+/// Writes what a fit leaves beside its model. @return its times.
+ordered_json write_fit_report(const Prepared<ExperimentParams>& given, const FitReport& report, const fs::path& out) {
+  // The resolved config beside the results, with every default of the trained predictor.
+  const ordered_json seconds{
+      {"seconds", report.seconds},
+      {"iterations_per_s", static_cast<double>(report.iterations) / std::max(1e-9, report.seconds)}};
+  write_text(out / "training.json", report.json);
+  write_text(out / "times.json", times_json(given.host->threads(), {{"training.json", seconds.dump()}}));
+  write_text(out / "config.yaml",
+             given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
+  return seconds;
+}
+
 int train(Context& context, const std::string& file, std::vector<std::string> folders, const ClusterOptions& cluster,
           int wanted_ranks) {
   const fs::path model = model_file(context, "weft train");
@@ -153,14 +166,7 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
     if (!is_used && (fs::exists(model) || fs::exists(checkpoint))) placed.keep();  // a fit that began, and failed
     throw;
   }
-  // The resolved config beside the results, with every default of the trained predictor.
-  const ordered_json seconds{
-      {"seconds", report.seconds},
-      {"iterations_per_s", static_cast<double>(report.iterations) / std::max(1e-9, report.seconds)}};
-  write_text(out / "training.json", report.json);
-  write_text(out / "times.json", times_json(given.host->threads(), {{"training.json", seconds.dump()}}));
-  write_text(out / "config.yaml",
-             given.registry->resolve_slots(given.resolved, describe_params<ExperimentParams>()).to_yaml());
+  const ordered_json seconds = write_fit_report(given, report, out);
   if (context.json) context.output() << with_times(report.json, seconds.dump());
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
                 report.finished ? "done" : "stopped; run the same command again to continue",
