@@ -49,7 +49,7 @@ void add_back(GeneratedMesh& result, const Outline& outline) {
       sew_front_and_back(result.mesh, [&](const Vec2& a, const Vec2& b) { return !is_open_at(outline, a, b); });
   const auto front = result.vertices;
   for (const auto& [name, index] : front) {
-    const int back = sewn.back[static_cast<std::size_t>(index)];
+    const int back = sewn.back[index];
     if (back != index) result.vertices["back_" + name] = back;
   }
   result.mesh = std::move(sewn.mesh);

@@ -28,24 +28,6 @@ struct ShownGarment {
   std::optional<ConfigNode> yaml = {};  ///< the whole file
 };
 
-/// Positions and faces; a texture with seams does not matter here.
-Mesh drawn_mesh(const fs::path& path) {
-  const ObjFile file = read_obj_file(path, true);
-  Mesh mesh;
-  mesh.source = path.string();
-  mesh.positions.resize(static_cast<Index>(file.vertices.size()), 3);
-  for (Index v = 0; v < mesh.positions.rows(); ++v) {
-    const auto& at = file.vertices[static_cast<std::size_t>(v)];
-    mesh.positions.row(v) << at[0], at[1], at[2];
-  }
-  mesh.faces.resize(static_cast<Index>(file.faces.size()), 3);
-  for (Index f = 0; f < mesh.faces.rows(); ++f) {
-    const auto& corners = file.faces[static_cast<std::size_t>(f)].corners;
-    mesh.faces.row(f) << corners[0].vertex, corners[1].vertex, corners[2].vertex;
-  }
-  return mesh;
-}
-
 ShownGarment read_shown(const fs::path& file) {
   if (file.extension() != ".yaml" && file.extension() != ".yml")
     return {file.stem().string(), file, file.filename().string(), {}};
@@ -61,7 +43,7 @@ ShownGarment read_shown(const fs::path& file) {
 
 int run_show(const Context& context, const ShowRequest& request) {
   ShownGarment garment = read_shown(request.file);
-  const Mesh mesh = drawn_mesh(garment.mesh_path);
+  const Mesh mesh = bare_mesh(read_obj_file(garment.mesh_path, true), garment.mesh_path.string());
   for (const auto& [name, index] : garment.vertices) {
     if (index < 0 || index >= mesh.positions.rows())
       throw ConfigError(request.file + ": vertices." + name + " = " + std::to_string(index) + ", must be in [0, " +

@@ -149,7 +149,7 @@ std::shared_ptr<const Garment> two_sheets() {
   mesh.faces.resize(2 * one->face_count(), 3);
   mesh.faces << one->faces, (one->faces.array() + static_cast<int>(n)).matrix();
   GarmentForm form;
-  form.layers.assign(static_cast<std::size_t>(2 * n), 0.0);
+  form.layers.assign(2 * n, 0.0);
   std::fill(form.layers.begin() + static_cast<std::ptrdiff_t>(n), form.layers.end(), 1.0);
   return std::make_shared<const Garment>(make_garment(mesh, "two sheets", {}, std::move(form)));
 }

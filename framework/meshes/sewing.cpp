@@ -26,10 +26,10 @@ std::map<Ends, std::vector<int>> faces_beside(const std::vector<std::array<int, 
 void cut_edge(std::vector<Vec2>& places, std::vector<std::array<int, 3>>& faces, const Ends& edge,
               const std::vector<int>& beside) {
   const auto middle = static_cast<int>(places.size());
-  const Vec2 at = 0.5 * (places[static_cast<std::size_t>(edge.first)] + places[static_cast<std::size_t>(edge.second)]);
+  const Vec2 at = 0.5 * (places[edge.first] + places[edge.second]);
   places.push_back(at);
   for (const int f : beside) {
-    auto& face = faces[static_cast<std::size_t>(f)];
+    auto& face = faces[f];
     std::size_t k = 0;
     while (Ends(std::minmax(face[k], face[(k + 1) % 3])) != edge) ++k;
     auto half = face;
@@ -62,9 +62,7 @@ SewnMesh sew_front_and_back(const Mesh& front, const std::function<bool(const Ve
   for (bool cut = true; cut;) {
     cut = false;
     for (const auto& [edge, beside] : faces_beside(faces)) {
-      if (beside.size() != 2 || !joined[static_cast<std::size_t>(edge.first)] ||
-          !joined[static_cast<std::size_t>(edge.second)])
-        continue;
+      if (beside.size() != 2 || !joined[edge.first] || !joined[edge.second]) continue;
       cut_edge(places, faces, edge, beside);
       joined.push_back(false);
       cut = true;
@@ -79,7 +77,7 @@ SewnMesh sew_front_and_back(const Mesh& front, const std::function<bool(const Ve
   Mesh& mesh = sewn.mesh;
   mesh.source = front.source;
   mesh.positions = Positions::Zero(next, 3);
-  sewn.form.layers.assign(static_cast<std::size_t>(next), 0.0);
+  sewn.form.layers.assign(next, 0.0);
   for (std::size_t v = 0; v < n; ++v) {
     mesh.positions.row(static_cast<Index>(v)).head<2>() = places[v].transpose();
     mesh.positions.row(sewn.back[v]).head<2>() = places[v].transpose();
@@ -88,8 +86,8 @@ SewnMesh sew_front_and_back(const Mesh& front, const std::function<bool(const Ve
   const auto half = static_cast<Index>(faces.size());
   mesh.faces.resize(2 * half, 3);
   for (Index f = 0; f < half; ++f) {
-    const auto& face = faces[static_cast<std::size_t>(f)];
-    const auto back = [&](std::size_t k) { return sewn.back[static_cast<std::size_t>(face[k])]; };
+    const auto& face = faces[f];
+    const auto back = [&](std::size_t k) { return sewn.back[face[k]]; };
     mesh.faces.row(f) << face[0], face[1], face[2];
     mesh.faces.row(half + f) << back(0), back(2), back(1);
   }

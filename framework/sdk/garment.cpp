@@ -9,6 +9,7 @@
 #include <tuple>
 #include <vector>
 
+#include "sdk/disjoint_sets.hpp"
 #include "sdk/obj_file.hpp"
 #include "weft/config.hpp"
 #include "weft/hash.hpp"
@@ -118,16 +119,8 @@ void check_manifold(const Mesh& mesh, const std::string& where) {
   }
 
   // A vertex is manifold if its faces form one fan: joining the faces that share an edge at the vertex gives one group.
-  // Corner c of face f is node 3 f + c of a union-find forest.
-  std::vector<Index> parent(mesh.faces.rows() * 3);
-  for (std::size_t i = 0; i < parent.size(); ++i) parent[i] = i;
-  const auto root = [&parent](Index i) {
-    while (parent[i] != i) {
-      parent[i] = parent[parent[i]];
-      i = parent[i];
-    }
-    return i;
-  };
+  // Corner c of face f is number 3 f + c.
+  DisjointSets fans(mesh.faces.rows() * 3);
   const auto corner = [&mesh](Index f, int v) {
     Index k = 0;
     while (mesh.faces(f, k) != v) ++k;
@@ -136,16 +129,14 @@ void check_manifold(const Mesh& mesh, const std::string& where) {
   for (std::size_t i = 0; i + 1 < sides.size(); ++i) {
     if (sides[i].first != sides[i + 1].first || sides[i].second != sides[i + 1].second) continue;
     for (const int v : {sides[i].first, sides[i].second}) {
-      const Index a = root(corner(sides[i].face, v));
-      const Index b = root(corner(sides[i + 1].face, v));
-      parent[std::max(a, b)] = std::min(a, b);
+      fans.unite(static_cast<int>(corner(sides[i].face, v)), static_cast<int>(corner(sides[i + 1].face, v)));
     }
   }
   std::vector<Index> fan(mesh.positions.rows(), -1);
   for (Index f = 0; f < mesh.faces.rows(); ++f) {
     for (Index k = 0; k < 3; ++k) {
       const int v = mesh.faces(f, k);
-      const Index r = root(3 * f + k);
+      const Index r = fans.root(static_cast<int>(3 * f + k));
       Index& known = fan[v];
       if (known < 0) known = r;
       if (known != r) {
@@ -270,8 +261,8 @@ std::map<std::string, Index> read_vertices(const ConfigNode& node) {
 // Rest shapes, layers and seams of a garment's YAML.
 
 Vec2 texture_at(const ObjFile& file, Index face, Index corner) {
-  const int vt = file.faces[static_cast<std::size_t>(face)].corners[static_cast<std::size_t>(corner)].texture;
-  return {file.texture[static_cast<std::size_t>(vt)][0], file.texture[static_cast<std::size_t>(vt)][1]};
+  const int vt = file.faces[face].corners[corner].texture;
+  return {file.texture[vt][0], file.texture[vt][1]};
 }
 
 void require_texture(const ObjFile& file, const ConfigNode& node, const std::string& name) {
@@ -284,26 +275,9 @@ void require_texture(const ObjFile& file, const ConfigNode& node, const std::str
   }
 }
 
-/// Positions and faces alone.
-Mesh bare_mesh(const ObjFile& file, const std::string& name) {
-  Mesh mesh;
-  mesh.source = name;
-  mesh.positions.resize(static_cast<Index>(file.vertices.size()), 3);
-  for (Index v = 0; v < mesh.positions.rows(); ++v) {
-    for (Index k = 0; k < 3; ++k)
-      mesh.positions(v, k) = file.vertices[static_cast<std::size_t>(v)][static_cast<std::size_t>(k)];
-  }
-  mesh.faces.resize(static_cast<Index>(file.faces.size()), 3);
-  for (Index f = 0; f < mesh.faces.rows(); ++f) {
-    for (Index k = 0; k < 3; ++k)
-      mesh.faces(f, k) = file.faces[static_cast<std::size_t>(f)].corners[static_cast<std::size_t>(k)].vertex;
-  }
-  return mesh;
-}
-
 /// Faces from the texture, whose parts may be mirrored: counter-clockwise, x is the warp.
 RestFrames frames_of_texture(const ObjFile& file, double scale) {
-  RestFrames frames(static_cast<Index>(file.faces.size()), 4);
+  RestFrames frames(file.faces.size(), 4);
   for (Index f = 0; f < frames.rows(); ++f) {
     const Vec2 p = texture_at(file, f, 0), u = texture_at(file, f, 1) - p, v = texture_at(file, f, 2) - p;
     const double side = u.x() * v.y() - u.y() * v.x() < 0.0 ? -1.0 : 1.0;
@@ -337,7 +311,7 @@ std::optional<RestPositions> chart_of_texture(const ObjFile& file, double scale)
   for (std::size_t f = 0; f < file.faces.size(); ++f) {
     const auto face = static_cast<Index>(f);
     for (Index k = 0; k < 3; ++k) {
-      const auto v = static_cast<std::size_t>(file.faces[f].corners[static_cast<std::size_t>(k)].vertex);
+      const auto v = static_cast<std::size_t>(file.faces[f].corners[k].vertex);
       const Vec2 at = scale * texture_at(file, face, k);
       if (known[v] && rest.row(static_cast<Index>(v)) != at.transpose()) return std::nullopt;
       known[v] = true;
@@ -439,12 +413,12 @@ std::vector<double> read_layers(const ConfigNode& node, const Mesh& mesh) {
   }
   if (!node.is_scalar() || node.as_string() != "sides")
     node.fail("must be sides, or a list of a number for each vertex");
-  std::vector<double> layers(static_cast<std::size_t>(mesh.positions.rows()), 1.0);
+  std::vector<double> layers(mesh.positions.rows(), 1.0);
   bool has_back = false;
   for (Index f = 0; f < mesh.faces.rows(); ++f) {
     if (seen_from_above(mesh.positions, mesh.faces, f) > 0.0) continue;
     has_back = true;
-    for (Index k = 0; k < 3; ++k) layers[static_cast<std::size_t>(mesh.faces(f, k))] = 0.0;
+    for (Index k = 0; k < 3; ++k) layers[mesh.faces(f, k)] = 0.0;
   }
   if (!has_back) node.fail("= sides, but no face of " + mesh.source + " looks down: it has no back");
   return layers;
@@ -580,22 +554,13 @@ std::vector<std::string> garment_warnings(const Garment& garment) {
                   garment.name.c_str(), size);
     warnings.emplace_back(text);
   }
-  std::vector<int> parent(static_cast<std::size_t>(garment.vertex_count()));
-  std::iota(parent.begin(), parent.end(), 0);
-  const auto root = [&parent](int v) {
-    while (parent[static_cast<std::size_t>(v)] != v) v = parent[static_cast<std::size_t>(v)];
-    return v;
-  };
-  const auto unite = [&](int a, int b) {
-    a = root(a), b = root(b);
-    parent[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
-  };
+  DisjointSets joined(garment.vertex_count());
   for (Index f = 0; f < garment.face_count(); ++f) {
-    unite(garment.faces(f, 0), garment.faces(f, 1));
-    unite(garment.faces(f, 0), garment.faces(f, 2));
+    joined.unite(garment.faces(f, 0), garment.faces(f, 1));
+    joined.unite(garment.faces(f, 0), garment.faces(f, 2));
   }
   Index pieces = 0;
-  for (int v = 0; v < garment.vertex_count(); ++v) pieces += root(v) == v;
+  for (int v = 0; v < garment.vertex_count(); ++v) pieces += joined.root(v) == v;
   if (pieces > 1) {
     warnings.push_back(
         "garment " + garment.name + " has " + std::to_string(pieces) +
@@ -603,16 +568,8 @@ std::vector<std::string> garment_warnings(const Garment& garment) {
         "(--piece)");
   }
   // Vertices of open borders in one place of one layer.
-  const std::vector<Side> sides = sides_of(garment.faces);
-  std::vector<Index> border;
-  for (std::size_t i = 0; i < sides.size(); ++i) {
-    const auto same = [&](std::size_t j) {
-      return j < sides.size() && sides[j].first == sides[i].first && sides[j].second == sides[i].second;
-    };
-    if (same(i + 1) || (i > 0 && same(i - 1))) continue;
-    border.push_back(sides[i].first);
-    border.push_back(sides[i].second);
-  }
+  const Edges open = open_edges(garment.faces);
+  std::vector<Index> border(open.data(), open.data() + open.size());
   std::sort(border.begin(), border.end());
   border.erase(std::unique(border.begin(), border.end()), border.end());
   const auto place = [&](Index v) {
@@ -672,9 +629,22 @@ Edges edges_between_sides(const Positions& positions, const Faces& faces) {
     if (sides[i].first != sides[i + 1].first || sides[i].second != sides[i + 1].second) continue;
     if (is_down(sides[i]) != is_down(sides[i + 1])) found.emplace_back(sides[i].first, sides[i].second);
   }
-  Edges edges(static_cast<Index>(found.size()), 2);
-  for (Index e = 0; e < edges.rows(); ++e)
-    edges.row(e) << found[static_cast<std::size_t>(e)].first, found[static_cast<std::size_t>(e)].second;
+  Edges edges(found.size(), 2);
+  for (Index e = 0; e < edges.rows(); ++e) edges.row(e) << found[e].first, found[e].second;
+  return edges;
+}
+
+Edges open_edges(const Faces& faces) {
+  const std::vector<Side> sides = sides_of(faces);
+  std::vector<std::pair<int, int>> found;
+  for (std::size_t i = 0; i < sides.size(); ++i) {
+    const auto same = [&](std::size_t j) {
+      return j < sides.size() && sides[j].first == sides[i].first && sides[j].second == sides[i].second;
+    };
+    if (!same(i + 1) && (i == 0 || !same(i - 1))) found.emplace_back(sides[i].first, sides[i].second);
+  }
+  Edges edges(found.size(), 2);
+  for (Index e = 0; e < edges.rows(); ++e) edges.row(e) << found[e].first, found[e].second;
   return edges;
 }
 

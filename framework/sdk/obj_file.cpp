@@ -286,4 +286,16 @@ ObjFile read_obj_file(const std::filesystem::path& path, bool triangles_only) {
   return std::move(reader.file);
 }
 
+Mesh bare_mesh(const ObjFile& file, const std::string& source) {
+  Mesh mesh;
+  mesh.source = source;
+  mesh.positions.resize(file.vertices.size(), 3);
+  for (Index v = 0; v < mesh.positions.rows(); ++v)
+    for (Index k = 0; k < 3; ++k) mesh.positions(v, k) = file.vertices[v][k];
+  mesh.faces.resize(file.faces.size(), 3);
+  for (Index f = 0; f < mesh.faces.rows(); ++f)
+    for (Index k = 0; k < 3; ++k) mesh.faces(f, k) = file.faces[f].corners[k].vertex;
+  return mesh;
+}
+
 }  // namespace weft

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "weft/export.hpp"
+#include "weft/mesh.hpp"
 
 namespace weft {
 
@@ -31,5 +32,8 @@ struct ObjFile {
 /// @param triangles_only refuse other faces, lines and points.
 /// @throws ConfigError naming file, line and the face or vertex: wrong indices, NaN, no vertices or faces.
 WEFT_API ObjFile read_obj_file(const std::filesystem::path& path, bool triangles_only);
+
+/// Positions and the first three corners of each face; no rest shape. @param source for messages.
+WEFT_API Mesh bare_mesh(const ObjFile& file, const std::string& source);
 
 }  // namespace weft

@@ -44,7 +44,7 @@ RestShape::RestShape(const Garment& garment)
     int corner;
   };
   std::vector<Half> halves;
-  halves.reserve(static_cast<std::size_t>(3 * faces_.rows()));
+  halves.reserve(3 * faces_.rows());
   for (Index f = 0; f < faces_.rows(); ++f) {
     for (int k = 0; k < 3; ++k) {
       const auto [a, b] = std::minmax(faces_(f, (k + 1) % 3), faces_(f, (k + 2) % 3));
@@ -62,11 +62,11 @@ RestShape::RestShape(const Garment& garment)
     if (s.first != t.first || s.second != t.second) continue;
     while (seam < seams.rows() && std::tie(seams(seam, 0), seams(seam, 1)) < std::tie(s.first, s.second)) ++seam;
     const bool sewn = seam < seams.rows() && seams(seam, 0) == s.first && seams(seam, 1) == s.second;
-    across_[static_cast<std::size_t>(3 * s.face + s.corner)] = {t.face, t.corner, !sewn};
-    across_[static_cast<std::size_t>(3 * t.face + t.corner)] = {s.face, s.corner, !sewn};
+    across_[3 * s.face + s.corner] = {t.face, t.corner, !sewn};
+    across_[3 * t.face + t.corner] = {s.face, s.corner, !sewn};
   }
   if (is_chart()) return;
-  clear_.assign(static_cast<std::size_t>(garment.vertex_count()), std::numeric_limits<double>::infinity());
+  clear_.assign(garment.vertex_count(), std::numeric_limits<double>::infinity());
   faces_of_.resize(clear_.size());
   for (Index f = 0; f < faces_.rows(); ++f) {
     for (int k = 0; k < 3; ++k) {
@@ -90,53 +90,52 @@ int RestShape::corner_of(Index face, int vertex) const {
 
 /// The corners of the neighbour across edge k, in the plane where this face has its corners at `place`.
 RestShape::Triangle RestShape::unfolded(Index face, int k, const Triangle& place) const {
-  const Side& side = across_[static_cast<std::size_t>(3 * face + k)];
+  const Side& side = across_[3 * face + k];
   const Index g = side.face;
   // The neighbour runs their common edge the other way.
   const int a = (side.corner + 1) % 3, b = (side.corner + 2) % 3;
-  const Vec2 &pa = place[static_cast<std::size_t>((k + 2) % 3)], &pb = place[static_cast<std::size_t>((k + 1) % 3)];
+  const Vec2 &pa = place[(k + 2) % 3], &pb = place[(k + 1) % 3];
   const Vec2 ga = corner(g, a), e = corner(g, b) - ga, o = corner(g, side.corner) - ga;
   const Vec2 along = pb - pa;
   const double part = o.dot(e) / e.squaredNorm(), height = cross2(e, o) / e.norm();
   const Vec2 normal = Vec2(-along.y(), along.x()) / along.norm();
   Triangle result;
-  result[static_cast<std::size_t>(a)] = pa;
-  result[static_cast<std::size_t>(b)] = pb;
-  result[static_cast<std::size_t>(side.corner)] = pa + part * along + height * normal;
+  result[a] = pa;
+  result[b] = pb;
+  result[side.corner] = pa + part * along + height * normal;
   return result;
 }
 
 Vec2 RestShape::place_across(Index face, int k) const {
-  const Side& side = across_[static_cast<std::size_t>(3 * face + k)];
+  const Side& side = across_[3 * face + k];
   if (is_chart()) return rest_.row(faces_(side.face, side.corner)).transpose();
-  return unfolded(face, k, {corner(face, 0), corner(face, 1), corner(face, 2)})[static_cast<std::size_t>(side.corner)];
+  return unfolded(face, k, {corner(face, 0), corner(face, 1), corner(face, 2)})[side.corner];
 }
 
 double RestShape::edge_length(Index face, int k) const {
   const double own = (corner(face, (k + 1) % 3) - corner(face, (k + 2) % 3)).norm();
-  const Side& side = across_[static_cast<std::size_t>(3 * face + k)];
+  const Side& side = across_[3 * face + k];
   if (is_chart() || side.face < 0) return own;
   return 0.5 * (own + (corner(side.face, (side.corner + 1) % 3) - corner(side.face, (side.corner + 2) % 3)).norm());
 }
 
 void RestShape::search(Search& s, Index face, const Triangle& place, Index from, int depth) const {
-  const auto at = [&](int vertex) { return place[static_cast<std::size_t>(corner_of(face, vertex))]; };
+  const auto at = [&](int vertex) { return place[corner_of(face, vertex)]; };
   const int first = s.edges ? 2 : 1;
   bool holds = true;
-  for (int k = first; k < 4; ++k) holds = holds && corner_of(face, s.v[static_cast<std::size_t>(k)]) >= 0;
+  for (int k = first; k < 4; ++k) holds = holds && corner_of(face, s.v[k]) >= 0;
   if (holds) {
     if (s.edges)
       s.best = std::min(s.best, segment_to_segment(s.from[0], s.from[1], at(s.v[2]), at(s.v[3])));
     else
       for (int k = 1; k < 4; ++k)
-        s.best = std::min(s.best, point_to_segment(s.from[0], at(s.v[static_cast<std::size_t>(k)]),
-                                                   at(s.v[static_cast<std::size_t>(k % 3 + 1)])));
+        s.best = std::min(s.best, point_to_segment(s.from[0], at(s.v[k]), at(s.v[k % 3 + 1])));
   }
   if (depth == kDeepest) return;
   for (int k = 0; k < 3; ++k) {
     const Index next = neighbour(face, k);
     if (next < 0 || next == from) continue;
-    const Vec2 &a = place[static_cast<std::size_t>((k + 1) % 3)], &b = place[static_cast<std::size_t>((k + 2) % 3)];
+    const Vec2 &a = place[(k + 1) % 3], &b = place[(k + 2) % 3];
     if (segment_to_segment(s.from[0], s.from[1], a, b) < s.best)
       search(s, next, unfolded(face, k, place), face, depth + 1);
   }
@@ -145,14 +144,14 @@ void RestShape::search(Search& s, Index face, const Triangle& place, Index from,
 double RestShape::distance(const std::array<int, 4>& v, bool edges, double most) const {
   // No way from a vertex to a primitive without it is shorter than the least height of the faces there.
   double clear = std::numeric_limits<double>::infinity();
-  for (const int i : v) clear = std::min(clear, clear_[static_cast<std::size_t>(i)]);
+  for (const int i : v) clear = std::min(clear, clear_[i]);
   if (clear >= most) return most;
   Search s{v, edges, {}, most};
-  for (const Index f : faces_of_[static_cast<std::size_t>(v[0])]) {
+  for (const Index f : faces_of_[v[0]]) {
     if (edges && corner_of(f, v[1]) < 0) continue;
     const Triangle place{corner(f, 0), corner(f, 1), corner(f, 2)};
-    s.from[0] = place[static_cast<std::size_t>(corner_of(f, v[0]))];
-    s.from[1] = edges ? place[static_cast<std::size_t>(corner_of(f, v[1]))] : s.from[0];
+    s.from[0] = place[corner_of(f, v[0])];
+    s.from[1] = edges ? place[corner_of(f, v[1])] : s.from[0];
     search(s, f, place, -1, 0);
   }
   return s.best;

@@ -4,6 +4,7 @@
 
 #include "loader/where.hpp"
 #include "meshes/import/mesh_file.hpp"
+#include "meshes/import/triangulate.hpp"
 #include "simulation/fold.hpp"
 #include "weft/config.hpp"
 #include "weft/hdf5_file.hpp"
@@ -43,17 +44,10 @@ std::shared_ptr<const GoalSurface> read_surface(const GoalParams& params, const 
     positions = read_points(params.points);
   } else {
     Findings findings;
-    const ObjFile file = read_mesh_file(params.mesh, findings).polygons;
-    positions.resize(std::ssize(file.vertices), 3);
-    for (Index v = 0; v < positions.rows(); ++v)
-      positions.row(v) << file.vertices[v][0], file.vertices[v][1], file.vertices[v][2];
-    std::vector<std::array<int, 3>> triangles;
-    for (const auto& face : file.faces) {
-      for (std::size_t k = 2; k < face.corners.size(); ++k)
-        triangles.push_back({face.corners[0].vertex, face.corners[k - 1].vertex, face.corners[k].vertex});
-    }
-    faces.resize(std::ssize(triangles), 3);
-    for (Index f = 0; f < faces.rows(); ++f) faces.row(f) << triangles[f][0], triangles[f][1], triangles[f][2];
+    const MeshFile file = read_mesh_file(params.mesh, findings);
+    const Mesh mesh = to_mesh(triangulate_file(file.polygons, params.mesh.string(), findings));
+    positions = mesh.positions;
+    faces = mesh.faces;
   }
   constexpr double kFar = 10.0;  // m
   if (positions.cwiseAbs().maxCoeff() > kFar)

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 #include <utility>
 
 #include "session/shape_errors.hpp"
@@ -28,21 +27,11 @@ Vector face_areas(const Positions& positions, const Faces& faces) {
   return areas;
 }
 
-/// Open edges as faces a, b, b.
-Faces open_edges(const Faces& faces) {
-  std::map<std::pair<int, int>, int> uses;
-  for (Index f = 0; f < faces.rows(); ++f) {
-    for (int k = 0; k < 3; ++k) {
-      const int a = faces(f, k), b = faces(f, (k + 1) % 3);
-      ++uses[{std::min(a, b), std::max(a, b)}];
-    }
-  }
-  std::vector<std::pair<int, int>> open;
-  for (const auto& [edge, count] : uses)
-    if (count == 1) open.push_back(edge);
-  Faces edges(std::ssize(open), 3);
-  for (Index i = 0; i < edges.rows(); ++i) edges.row(i) << open[i].first, open[i].second, open[i].second;
-  return edges;
+/// Edges as faces a, b, b.
+Faces faces_of_edges(const Edges& edges) {
+  Faces faces(edges.rows(), 3);
+  faces << edges, edges.col(1);
+  return faces;
 }
 
 Vector edge_lengths(const Positions& positions, const Faces& edges) {
@@ -108,7 +97,7 @@ GoalSurface::GoalSurface(GoalKind kind, const Positions& positions, const Faces&
   if (!(areas.sum() > 0.0)) throw ShapeError("goal: its faces have no area");
   parts_.push_back(make_part(garment, cloth_, cloth_areas, faces_, even_samples(positions_, faces_, areas, kSamples)));
   if (kind_ == GoalKind::silhouette) return;
-  const Faces cloth_edges = open_edges(cloth_), edges = open_edges(faces_);
+  const Faces cloth_edges = faces_of_edges(open_edges(cloth_)), edges = faces_of_edges(open_edges(faces_));
   const Vector lengths = edge_lengths(positions_, edges);
   if (cloth_edges.rows() == 0 || !(lengths.sum() > 0.0)) return;
   parts_.push_back(make_part(garment, cloth_edges, edge_lengths(garment.positions, cloth_edges), edges,
@@ -140,9 +129,9 @@ GoalSurface::Part GoalSurface::make_part(const Garment& garment, const Faces& cl
 }
 
 NearestSurface GoalSurface::tree_of(const Positions& positions, const Faces& faces) const {
-  std::vector<Vec3> points(static_cast<std::size_t>(positions.rows()));
+  std::vector<Vec3> points(positions.rows());
   for (Index v = 0; v < positions.rows(); ++v) points[v] = positions.row(v).transpose().array() * axes_;
-  std::vector<std::array<int, 3>> triangles(static_cast<std::size_t>(faces.rows()));
+  std::vector<std::array<int, 3>> triangles(faces.rows());
   for (Index f = 0; f < faces.rows(); ++f) triangles[f] = {faces(f, 0), faces(f, 1), faces(f, 2)};
   return {std::move(points), std::move(triangles)};
 }

@@ -6,6 +6,8 @@
 #include <cmath>
 
 #include "meshes/intersections.hpp"
+#include "sdk/disjoint_sets.hpp"
+#include "weft/mesh.hpp"
 #include "weft/rest_shape.hpp"
 
 namespace weft {
@@ -13,34 +15,23 @@ namespace {
 
 const Positions kNoHands(0, 3);
 
-/// Open boundaries of the mesh: edges of one face, joined at their vertices.
+/// Open boundaries of the mesh: open edges, joined at their vertices.
 Index boundary_loops(const Faces& faces, Index vertices) {
-  std::vector<std::pair<int, int>> sides;
-  for (Index f = 0; f < faces.rows(); ++f)
-    for (int k = 0; k < 3; ++k) sides.emplace_back(std::minmax(faces(f, k), faces(f, (k + 1) % 3)));
-  std::sort(sides.begin(), sides.end());
-  std::vector<int> parent(static_cast<std::size_t>(vertices), -1);
-  const auto root = [&](int v) {
-    while (parent[static_cast<std::size_t>(v)] != v) v = parent[static_cast<std::size_t>(v)];
-    return v;
-  };
-  for (std::size_t i = 0; i < sides.size(); ++i) {
-    const bool twice = (i + 1 < sides.size() && sides[i + 1] == sides[i]) || (i > 0 && sides[i - 1] == sides[i]);
-    if (twice) continue;
-    auto [a, b] = sides[i];
-    for (const int v : {a, b})
-      if (parent[static_cast<std::size_t>(v)] < 0) parent[static_cast<std::size_t>(v)] = v;
-    a = root(a), b = root(b);
-    parent[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
+  DisjointSets joined(vertices);
+  std::vector<bool> is_open(vertices, false);
+  const Edges open = open_edges(faces);
+  for (Index e = 0; e < open.rows(); ++e) {
+    joined.unite(open(e, 0), open(e, 1));
+    is_open[open(e, 0)] = is_open[open(e, 1)] = true;
   }
   Index loops = 0;
-  for (int v = 0; v < vertices; ++v) loops += parent[static_cast<std::size_t>(v)] == v;
+  for (int v = 0; v < vertices; ++v) loops += is_open[v] && joined.root(v) == v;
   return loops;
 }
 
 /// Sheets of cloth below each vertex: faces without it that a line down from it meets.
 std::vector<double> layers_below(const Positions& x, const Faces& faces) {
-  std::vector<double> layers(static_cast<std::size_t>(x.rows()), 0.0);
+  std::vector<double> layers(x.rows(), 0.0);
   // Faces by cell of a grid over the table, so that each vertex looks at few.
   const Eigen::RowVector2d low = x.leftCols<2>().colwise().minCoeff();
   const double size = (x.leftCols<2>().colwise().maxCoeff() - low).maxCoeff();
@@ -57,18 +48,17 @@ std::vector<double> layers_below(const Positions& x, const Faces& faces) {
     }
     for (int j = cell(least.y(), 1); j <= cell(most.y(), 1); ++j)
       for (int i = cell(least.x(), 0); i <= cell(most.x(), 0); ++i)
-        cells[static_cast<std::size_t>(j * kCells + i)].push_back(static_cast<int>(f));
+        cells[j * kCells + i].push_back(static_cast<int>(f));
   }
   for (Index v = 0; v < x.rows(); ++v) {
-    for (const int f : cells[static_cast<std::size_t>(cell(x(v, 1), 1) * kCells + cell(x(v, 0), 0))]) {
+    for (const int f : cells[cell(x(v, 1), 1) * kCells + cell(x(v, 0), 0)]) {
       if (faces(f, 0) == v || faces(f, 1) == v || faces(f, 2) == v) continue;
       const Eigen::RowVector3d a = x.row(faces(f, 0)), u = x.row(faces(f, 1)) - a, w = x.row(faces(f, 2)) - a,
                                p = x.row(v) - a;
       const double det = u.x() * w.y() - u.y() * w.x();
       if (det == 0.0) continue;
       const double s = (p.x() * w.y() - p.y() * w.x()) / det, t = (u.x() * p.y() - u.y() * p.x()) / det;
-      if (s >= 0.0 && t >= 0.0 && s + t < 1.0 && s * u.z() + t * w.z() < p.z())
-        layers[static_cast<std::size_t>(v)] += 1.0;
+      if (s >= 0.0 && t >= 0.0 && s + t < 1.0 && s * u.z() + t * w.z() < p.z()) layers[v] += 1.0;
     }
   }
   return layers;
@@ -154,7 +144,7 @@ LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayP
   result.positions = (x.array() * 1e6).round() / 1e6;
   result.layers = layers_below(result.positions, garment.faces);
   for (Index i = 0; i < x.rows(); ++i) {
-    const double above = x(i, 2) - (1.0 + result.layers[static_cast<std::size_t>(i)]) * params.thickness_m;
+    const double above = x(i, 2) - (1.0 + result.layers[i]) * params.thickness_m;
     result.positions(i, 2) = std::max(0.0, std::round(above * 1e6) / 1e6);
   }
   start->positions = result.positions;

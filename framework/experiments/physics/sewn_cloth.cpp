@@ -57,7 +57,7 @@ struct TwoSheets {
   }
   std::vector<Index> columns(double x) const {
     std::vector<Index> both_layers = front.column(x);
-    for (const Index v : front.column(x)) both_layers.push_back(sewn.back[static_cast<std::size_t>(v)]);
+    for (const Index v : front.column(x)) both_layers.push_back(sewn.back[v]);
     std::sort(both_layers.begin(), both_layers.end());
     both_layers.erase(std::unique(both_layers.begin(), both_layers.end()), both_layers.end());
     return both_layers;

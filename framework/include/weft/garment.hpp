@@ -38,7 +38,7 @@ struct Garment {
   Index face_count() const { return faces.rows(); }
   bool has_frames() const { return form.frames.rows() > 0; }
   /// Number of the vertex's layer: 0 lies on the table, 1 on layer 0.
-  double layer(Index vertex) const { return form.layers.empty() ? 0.0 : form.layers[static_cast<std::size_t>(vertex)]; }
+  double layer(Index vertex) const { return form.layers.empty() ? 0.0 : form.layers[vertex]; }
   /// @throws ConfigError naming the nearest known name.
   WEFT_API Index vertex(const std::string& vertex_name) const;
 };

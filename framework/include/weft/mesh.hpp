@@ -23,5 +23,7 @@ WEFT_API void write_obj(const std::filesystem::path& path, const Mesh& mesh, boo
 
 /// Edges of the faces, each once, [E, 2] with first < second, sorted.
 WEFT_API Edges edges_of(const Faces& faces);
+/// Those that belong to one face alone.
+WEFT_API Edges open_edges(const Faces& faces);
 
 }  // namespace weft

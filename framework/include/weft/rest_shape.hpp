@@ -22,14 +22,14 @@ class WEFT_API RestShape {
   }
   double area(Index face) const;  ///< m^2
   /// The face across edge k, or -1 at a border.
-  Index neighbour(Index face, int k) const { return across_[static_cast<std::size_t>(3 * face + k)].face; }
+  Index neighbour(Index face, int k) const { return across_[3 * face + k].face; }
   /// The vertex of that face that is not on the edge, or -1.
   int opposite(Index face, int k) const {
-    const Side& side = across_[static_cast<std::size_t>(3 * face + k)];
+    const Side& side = across_[3 * face + k];
     return side.face < 0 ? -1 : faces_(side.face, side.corner);
   }
   /// Whether a bending moment crosses edge k: it is neither a border nor a seam.
-  bool bends(Index face, int k) const { return across_[static_cast<std::size_t>(3 * face + k)].bends; }
+  bool bends(Index face, int k) const { return across_[3 * face + k].bends; }
   /// Where opposite() lies in the frame of this face when the neighbour is unfolded into its plane, m.
   /// Where the two faces give their common edge different lengths, along it by parts, across it in metres.
   Vec2 place_across(Index face, int k) const;

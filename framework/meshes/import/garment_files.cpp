@@ -23,7 +23,7 @@ bool are_sides(const ImportedGarment& garment) {
   for (Index f = 0; f < garment.mesh.faces.rows(); ++f) {
     const auto at = [&](Index k) -> Vec2 { return garment.mesh.positions.row(garment.mesh.faces(f, k)).head<2>(); };
     if (cross(at(1) - at(0), at(2) - at(0)) > 0.0) continue;
-    for (Index k = 0; k < 3; ++k) sides[static_cast<std::size_t>(garment.mesh.faces(f, k))] = 0.0;
+    for (Index k = 0; k < 3; ++k) sides[garment.mesh.faces(f, k)] = 0.0;
   }
   return sides == garment.layers;
 }

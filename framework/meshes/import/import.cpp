@@ -130,20 +130,6 @@ std::map<std::string, int> resolve_names(const ImportMesh& mesh, const Input& in
   return names;
 }
 
-Mesh mesh_of_import(const ImportMesh& from, const RestPositions& rest) {
-  Mesh mesh;
-  mesh.source = from.source;
-  mesh.positions.resize(static_cast<Index>(from.positions.size()), 3);
-  for (Index v = 0; v < mesh.positions.rows(); ++v) mesh.positions.row(v) = from.at(static_cast<int>(v)).transpose();
-  mesh.faces.resize(static_cast<Index>(from.faces.size()), 3);
-  for (Index f = 0; f < mesh.faces.rows(); ++f) {
-    for (Index k = 0; k < 3; ++k)
-      mesh.faces(f, k) = from.faces[static_cast<std::size_t>(f)][static_cast<std::size_t>(k)];
-  }
-  mesh.rest = rest;
-  return mesh;
-}
-
 /// Warns of a mesh whose edges differ so much that the shortest ones decide the time that a fold takes.
 void say_edges(const ImportMesh& mesh, Findings& findings) {
   std::vector<double> lengths;
@@ -288,7 +274,8 @@ ImportedGarment import_garment(const std::filesystem::path& path, const ImportOp
   if (options.remesh) remesh(mesh, rest.chart, *options.remesh, names, findings);
   if (result.is_flat()) result.layers = flat_layers(mesh, findings);
   say_edges(mesh, findings);
-  result.mesh = mesh_of_import(mesh, rest.chart);
+  result.mesh = to_mesh(mesh);
+  result.mesh.rest = rest.chart;
   for (const auto& [name, v] : names) result.vertices[name] = v;
   result.vertex_of = mesh.vertex_of;
   result.garment(path.stem().string());  // the rules of any garment

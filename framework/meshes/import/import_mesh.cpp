@@ -112,21 +112,15 @@ std::vector<MeshSide> mesh_sides(const std::vector<ImportMesh::Triangle>& faces)
   return sides;
 }
 
-DisjointSets::DisjointSets(std::size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0); }
-
-int DisjointSets::root(int i) {
-  while (parent_[static_cast<std::size_t>(i)] != i) {
-    int& up = parent_[static_cast<std::size_t>(i)];
-    up = parent_[static_cast<std::size_t>(up)];
-    i = up;
-  }
-  return i;
-}
-
-void DisjointSets::unite(int a, int b) {
-  a = root(a);
-  b = root(b);
-  parent_[static_cast<std::size_t>(std::max(a, b))] = std::min(a, b);
+Mesh to_mesh(const ImportMesh& mesh) {
+  Mesh result;
+  result.source = mesh.source;
+  result.positions.resize(mesh.positions.size(), 3);
+  for (Index v = 0; v < result.positions.rows(); ++v) result.positions.row(v) = mesh.positions[v].transpose();
+  result.faces.resize(mesh.faces.size(), 3);
+  for (Index f = 0; f < result.faces.rows(); ++f)
+    for (Index k = 0; k < 3; ++k) result.faces(f, k) = mesh.faces[f][k];
+  return result;
 }
 
 std::string counted(std::int64_t count, const std::string& word, const std::string& plural) {

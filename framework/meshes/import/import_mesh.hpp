@@ -4,6 +4,8 @@
 #include <string>
 #include <vector>
 
+#include "sdk/disjoint_sets.hpp"
+#include "weft/mesh.hpp"
 #include "weft/types.hpp"
 
 /// A garment on its way from somebody's file to one that weft can fold. Each pass of the import takes the mesh, changes
@@ -82,16 +84,8 @@ void for_each_edge(const std::vector<MeshSide>& sides, Visit&& visit) {
   }
 }
 
-/// Disjoint sets of the numbers 0..n-1; the root of a set is its smallest number.
-class DisjointSets {
- public:
-  explicit DisjointSets(std::size_t count);
-  int root(int i);
-  void unite(int a, int b);
-
- private:
-  std::vector<int> parent_;
-};
+/// Positions and faces; no rest shape.
+Mesh to_mesh(const ImportMesh& mesh);
 
 /// "1 vertex", "3 vertices": the plural is given where it is no +s.
 std::string counted(std::int64_t count, const std::string& word, const std::string& plural = "");

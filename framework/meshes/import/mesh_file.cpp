@@ -100,11 +100,8 @@ Positions read_points(const fs::path& path) {
   const std::string extension = extension_of(path);
   if (extension != ".ply" && extension != ".obj")
     throw ConfigError(path.string() + ": must be a .ply point cloud, or an .obj, of which the vertices are taken");
-  const ObjFile file = extension == ".obj" ? read_obj_file(path, false) : read_other_format(path, false);
-  Positions points(static_cast<Index>(file.vertices.size()), 3);
-  for (Index v = 0; v < points.rows(); ++v)
-    for (Index k = 0; k < 3; ++k) points(v, k) = file.vertices[v][k];
-  return points;
+  return bare_mesh(extension == ".obj" ? read_obj_file(path, false) : read_other_format(path, false), path.string())
+      .positions;
 }
 
 MeshFile read_mesh_file(const fs::path& path, Findings& findings) {

@@ -288,9 +288,9 @@ std::vector<double> flat_layers(const ImportMesh& mesh, Findings& findings) {
     std::vector<bool> below(mesh.positions.size(), false);
     for (const int f : pieces[i].faces)
       if (is_down(f))
-        for (const int v : mesh.faces[static_cast<std::size_t>(f)]) below[static_cast<std::size_t>(v)] = true;
+        for (const int v : mesh.faces[f]) below[v] = true;
     for (const int f : pieces[i].faces)
-      for (const int v : mesh.faces[static_cast<std::size_t>(f)]) {
+      for (const int v : mesh.faces[f]) {
         const auto at = static_cast<std::size_t>(v);
         layers[at] = base[i] + (has_back && !below[at] ? 1.0 : 0.0);
         most = std::max(most, layers[at]);
