@@ -245,7 +245,7 @@ TEST_F(Ranks, OnOneMachineAndUnderLaunchersGiveTheBytesOfOneProcess) {
       "; code=$?; wait $! || code=1; exit $code";
   expect_equal("slurm", test::run_shell(started));
 
-  if (test::run_shell("command -v mpirun").code != 0) GTEST_SKIP() << "no mpirun (Debian: openmpi-bin)";
+  ASSERT_EQ(test::run_shell("command -v mpirun").code, 0) << "no mpirun (Debian: openmpi-bin)";
   expect_equal(
       "mpi",
       test::run_shell("unset WEFT_PLUGIN_PATH; mpirun --allow-run-as-root --oversubscribe -n 4 '" WEFT_PROGRAM "' " +

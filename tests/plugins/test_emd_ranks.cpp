@@ -41,11 +41,11 @@ class EmdRanks : public ::testing::Test {
   /// Fits over so many ranks to files NAME.h5 and NAME.checkpoint.h5.
   /// @param stop_at the observer stops the fit after so many iterations.
   std::vector<RankEnd> fit(const std::string& name, int ranks, std::int64_t stop_at = 1000000) {
-    std::vector<RankEnd> ends(static_cast<std::size_t>(ranks));
+    std::vector<RankEnd> ends(ranks);
     std::vector<std::thread> threads;
     for (int r = 0; r < ranks; ++r) {
       threads.emplace_back([&, r] {
-        RankEnd& end = ends[static_cast<std::size_t>(r)];
+        RankEnd& end = ends[r];
         try {
           Params own = params_;
           if (r == odd_rank_) own.training.rate *= 2.0;
