@@ -134,7 +134,8 @@ TEST(Worker, IsLostWhenItIsKilledThreeTimesButNotBefore) {
 
 TEST(Worker, ThatFindsNoMemoryForItsRequestIsLost) {
   WorkerProcess worker(shell("read x; echo 'no memory'"));
-  const WorkEnd end = worker.run("x", [] { return WorkLimits(); }, [] { return false; });
+  const WorkEnd end = worker.run(
+      "x", [] { return WorkLimits(); }, [] { return false; });
   EXPECT_EQ(end.kind, WorkEnd::Kind::lost);
   EXPECT_THAT(end.text, AllOf(HasSubstr("there was not enough memory"), HasSubstr("3 times")));
 }
