@@ -18,7 +18,7 @@ import time
 import traceback
 from pathlib import Path
 
-from slurm_kit import Slurm, missing_programs, name_of, parent_of
+from slurm_kit import Slurm, environment_of, missing_programs, name_of, parent_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "long"))
 import fault_kit  # noqa: E402
@@ -369,9 +369,41 @@ def real_time_limit(bench):
     bench.require_done(work, "as before a time limit")
 
 
+def trained_over_ranks(bench):
+    """srun starts the four ranks of a fit, one on each node. One is killed, and later the job is asked to end: it goes on."""
+    if not (bench.folder / "data").exists():
+        bench.run("generate experiment.yaml --examples 48 --out data --quiet")
+    bench.profile("ranks", ranks=4, cpus=2, environment=["WEFT_INTERFACE=lo"])
+    work, file = "train experiment.yaml --data data --set predictor.params.training.parts=4", "/model.h5"
+    array, _ = bench.submit(work, "ranks", profile="ranks", file=file)
+
+    def ranks(start, seconds=90):
+        """Once they have worked, those of the program's n-th start."""
+        end = time.monotonic() + seconds
+        while True:
+            record = (bench.out / f"slurm/train-model/tasks/{array}_1.txt")
+            starts = record.read_text().count("killed") + record.read_text().count("began") if record.exists() else 0
+            found = [one for one in bench.slurm.processes_of(f"{array}_1") if name_of(one) == "weft"]
+            if starts == start and len(found) == 4 and list(bench.out.glob("*checkpoint*")):
+                return found
+            require(time.monotonic() < end, f"start {start} of the ranks does not come: {found}\n{bench.logs()}")
+            bench.slurm.hurry()
+            time.sleep(0.1)
+
+    first = ranks(1)
+    nodes = {environment_of(one)["SLURMD_NODENAME"] for one in first}
+    require(len(nodes) == 4, f"the ranks ran on {nodes}")
+    os.kill(first[2], signal.SIGKILL)
+    ranks(2)
+    sent = bench.slurm.run("scancel", "--signal=TERM", "--batch", f"{array}_1")
+    require(sent.returncode == 0, f"scancel: {sent.stderr}")
+    bench.require_done(work, "the job was started 3 times", "by a signal from outside", file=file)
+
+
 def learned(bench):
     """Fit, calibration and evaluations on the cluster equal those of one process."""
-    bench.run("generate experiment.yaml --examples 48 --out data --quiet")
+    if not (bench.folder / "data").exists():
+        bench.run("generate experiment.yaml --examples 48 --out data --quiet")
     work, file = "train experiment.yaml --data data", "/model.h5"
     bench.submit(work, "model", file=file)
     bench.require_done(work, file=file)
@@ -395,7 +427,7 @@ def learned(bench):
 
 
 SCENARIOS = [refusals, plain, node_killed, killed_and_requeued, asked_to_end, never_starts, controller_restarted, no_room,
-             cancelled, killed_while_submitting, too_little_memory, generated, physics]
+             cancelled, killed_while_submitting, too_little_memory, generated, physics, trained_over_ranks]
 LONGER = [real_time_limit, learned]
 
 
