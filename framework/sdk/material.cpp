@@ -253,10 +253,11 @@ Fabric read_fabric_mapping(const ConfigNode& node, const std::string& default_na
   if (const auto file = node.find("file")) {
     fabric = read_fabric_file(*file);
     // The tables of an ARCSim file define its elasticity, so constants for it are not allowed.
-    node.refuse_unknown_keys(
-        joined(joined({"file", "name", "source"}, kMultipliers), fabric.tables ? kTableOverrides : kPropertyKeys));
+    node.refuse_unknown_keys(joined(joined({"file", "name", "source", "drape"}, kMultipliers),
+                                    fabric.tables ? kTableOverrides : kPropertyKeys));
   } else {
-    node.refuse_unknown_keys(joined(joined({"file", "name", "source", "tables"}, kMultipliers), kPropertyKeys));
+    node.refuse_unknown_keys(
+        joined(joined({"file", "name", "source", "drape", "tables"}, kMultipliers), kPropertyKeys));
   }
   if (const auto name = node.find("name")) fabric.name = name->as_string();
   if (const auto source = node.find("source")) source->as_string();

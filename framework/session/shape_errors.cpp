@@ -138,6 +138,17 @@ double silhouette_iou(const Positions& a, const Faces& faces_a, const Positions&
   return any > 0 ? static_cast<double>(both) / static_cast<double>(any) : kNone;
 }
 
+double silhouette_area(const Positions& shape, const Faces& faces, double cell) {
+  if (shape.rows() == 0 || !is_near(shape)) return kNone;
+  Silhouette silhouette(shape, faces, cell);
+  Index cells = 0;
+  if (!silhouette.empty()) {
+    for (Index row = silhouette.first_row(); row <= silhouette.last_row(); ++row)
+      cells += cells_of(silhouette.row(row));
+  }
+  return static_cast<double>(cells) * cell * cell;
+}
+
 ShapeErrors shape_errors(const Positions& shape, const Positions& goal, const Task& task,
                          const std::vector<bool>& seen) {
   require_shape("shape errors: vertices", shape.rows(), goal.rows());

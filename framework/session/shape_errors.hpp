@@ -39,5 +39,7 @@ double silhouette_iou(const Positions& a, const Faces& faces_a, const Positions&
                       double cell = 0.001);
 /// Of two shapes of one mesh. @throws ShapeError for different numbers of vertices.
 double silhouette_iou(const Positions& a, const Positions& b, const Faces& faces, double cell = 0.001);
+/// Area of the silhouette, m^2; NaN for a shape that is further than 100 m from the origin.
+double silhouette_area(const Positions& shape, const Faces& faces, double cell = 0.001);
 
 }  // namespace weft

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "simulation/task_config.hpp"
+#include "weft/config.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
@@ -57,11 +58,14 @@ double valid_factor(const Fabric& fabric, double Fabric::*constant, double facto
   return std::clamp(value * factor, least, most) / value;
 }
 
-std::vector<double> draw_factors(const Fabric& fabric, double spread, std::uint64_t seed) {
+std::vector<double> draw_factors(const Fabric& fabric, const WorldParams& params, std::uint64_t seed) {
   RandomStream random(seed, kWorldStream);
   std::vector<double> factors;
-  for (const auto& constant : kConstants)
-    factors.push_back(valid_factor(fabric, constant.value, random.uniform(1.0 - spread, 1.0 + spread)));
+  for (const auto& constant : kConstants) {
+    const double factor = random.uniform(1.0 - params.spread, 1.0 + params.spread);  // also of one that is known
+    const bool is_known = std::find(params.known.begin(), params.known.end(), constant.name) != params.known.end();
+    factors.push_back(is_known ? 1.0 : valid_factor(fabric, constant.value, factor));
+  }
   return factors;
 }
 
@@ -85,7 +89,7 @@ Fabric changed(const Fabric& fabric, const std::vector<double>& factors) {
 Task world_task(const Task& task, const WorldParams& params, std::uint64_t seed) {
   Task world = task;
   if (params.spread > 0.0)
-    world.material.nominal = changed(task.material.nominal, draw_factors(task.material.nominal, params.spread, seed));
+    world.material.nominal = changed(task.material.nominal, draw_factors(task.material.nominal, params, seed));
   if (!params.simulator.is_null()) world.simulator = params.simulator;
   return world;
 }
@@ -95,12 +99,17 @@ std::optional<WorldRecord> world_record(const Task& task, const WorldParams& par
   const ConfigNode& slot = params.simulator.is_null() ? task.simulator : params.simulator;
   WorldRecord record{params.spread, slot.is_scalar() ? slot.as_string() : slot.at("plugin").as_string(), {}};
   if (params.spread == 0.0) return record;
-  const auto factors = draw_factors(task.material.nominal, params.spread, seed);
+  const auto factors = draw_factors(task.material.nominal, params, seed);
   for (std::size_t i = 0; i < factors.size(); ++i) record.factors.emplace_back(kConstants[i].name, factors[i]);
   return record;
 }
 
 void check_world(const WorldParams& params, const Task& task, Host& host) {
+  std::vector<std::string> names;
+  for (const auto& constant : kConstants) names.emplace_back(constant.name);
+  for (const auto& known : params.known)
+    if (std::find(names.begin(), names.end(), known) == names.end())
+      throw ConfigError("world.known = " + known + ", must be " + one_of(names) + nearest_hint(known, names));
   if (!params.simulator.is_null()) check_simulator(params.simulator, task, host);
 }
 

@@ -14,6 +14,7 @@ namespace weft {
 /// How the world differs from the task that planner and estimator know: other constants of the fabric, another simulator.
 struct WorldParams {
   double spread = 0.0;
+  std::vector<std::string> known;
   ConfigNode simulator;
 
   template <class Visitor>
@@ -22,6 +23,9 @@ struct WorldParams {
       "The world's fabric has other constants than the task's: Poisson's ratio, bias bending, self friction, dampings, "
       "air drag and density are each multiplied by a factor from [1 - spread, 1 + spread], drawn from the seed. "
       "Planner and estimator do not know it.");
+    v("known", known,
+      "Constants that keep the task's value, as if they had been measured before the fold: poisson, bend_bias, "
+      "self_friction, damping_stretch, damping_bend, damping_air, density.");
     v("simulator", simulator, PluginSlot{"simulator"}, "Simulator plugin of the world; default: the task's.");
   }
   bool is_the_tasks() const { return spread == 0.0 && simulator.is_null(); }
@@ -41,7 +45,7 @@ struct WorldRecord {
 Task world_task(const Task& task, const WorldParams& params, std::uint64_t seed);
 /// What world_task() changed; nullopt: nothing.
 std::optional<WorldRecord> world_record(const Task& task, const WorldParams& params, std::uint64_t seed);
-/// check_simulator() for the world's own simulator, if it has one.
+/// check_simulator() for the world's own simulator, if it has one. @throws ConfigError also for a name in `known` that is no constant.
 void check_world(const WorldParams& params, const Task& task, Host& host);
 
 }  // namespace weft

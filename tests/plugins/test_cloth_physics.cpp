@@ -33,6 +33,8 @@ void check(const std::string& which, const ConfigNode& with) {
   params.tests = {which};
   params.folds.count = 6;   // `weft evaluate physics` runs 200
   params.folds.paired = 1;  // with its finer self
+  if (which == "drape" || which == "bending length" || which == "tensile")
+    params.fabric = ConfigNode::quoted(WEFT_SOURCE_DIR "/configs/fabrics/cotton_plain.yaml");
   const auto variant = [&](const char* name, const char* key) {
     return SimulatorVariant{name,
                             [&host, slot = config.at(key).merged(with)] { return host->create<Simulator>(slot); }};

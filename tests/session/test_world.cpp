@@ -80,6 +80,22 @@ TEST(World, MultipliesTheConstantsByFactorsOfTheSeedAndLeavesTheEstimatedPropert
   EXPECT_LE(*std::max_element(all.begin(), all.end()), 1.2);
 }
 
+TEST(World, LeavesConstantsThatAreKnownAndDrawsTheOthersAsWithoutThem) {
+  const Task task = basic_task();
+  const WorldParams all{.spread = 0.2}, weighed{.spread = 0.2, .known = {"density"}};
+  const WorldRecord record = world_record(task, weighed, 3).value(), other = world_record(task, all, 3).value();
+  EXPECT_EQ(factor_of(record, "density"), 1.0);
+  EXPECT_NE(factor_of(other, "density"), 1.0);
+  EXPECT_EQ(world_task(task, weighed, 3).material.nominal.density_kg_per_m2, task.material.nominal.density_kg_per_m2);
+  for (const auto& [name, factor] : record.factors) {
+    if (name == "density") continue;
+    EXPECT_EQ(factor, factor_of(other, name)) << name;
+  }
+  const auto host = make_host(std::make_shared<PluginRegistry>(), {.threads = 1});
+  EXPECT_THAT(test::message_of<ConfigError>([&] { check_world({.spread = 0.2, .known = {"densty"}}, task, *host); }),
+              testing::HasSubstr("world.known = densty"));
+}
+
 TEST(World, KeepsToFabricsThatMayBe) {
   // Poisson's ratio just below 0.5, and a bias just above the least one: a factor can break both.
   const Task task = task_of(

@@ -3,6 +3,7 @@
 #include <set>
 
 #include "experiments/estimation_evaluation.hpp"
+#include "experiments/physics/textiles.hpp"
 #include "experiments/planning_evaluation.hpp"
 #include "report/times.hpp"
 #include "test_support.hpp"
@@ -272,6 +273,26 @@ TEST(EstimationEvaluation, RefusesWhatIsNoCase) {
   EXPECT_THAT(refusal({payload.schema, R"({"knowledge": []})"}), HasSubstr("true_material"));
   EXPECT_THAT(refusal({"weft planning case 1", payload.json}), HasSubstr("weft planning case 1"));
   EXPECT_THAT(refusal({}), HasSubstr("no estimate"));
+}
+
+TEST(DrapeBand, IsReadFromTheFabricsFileOrTheMappingThatNamesIt) {
+  const std::filesystem::path fabrics = WEFT_SOURCE_DIR "/configs/fabrics";
+  const auto of = [&](const std::string& text) {
+    return physics::read_drape_band(ConfigNode::parse(text, "t", fabrics));
+  };
+  const auto denim = of("{file: denim.yaml, bend_multiplier: 2}");
+  ASSERT_TRUE(denim);
+  EXPECT_EQ(denim->low, 70.0);
+  EXPECT_EQ(denim->high, 90.0);
+  EXPECT_FALSE(of("{file: light.yaml}"));
+  EXPECT_EQ(of("{file: denim.yaml, drape: {percent: [1, 2], source: own}}")->high, 2.0);
+  const auto refusal = [&](const std::string& drape) {
+    return test::message_of<ConfigError>([&] { of("{drape: " + drape + "}"); });
+  };
+  EXPECT_THAT(refusal("{percent: [60, 40], source: x}"), testing::HasSubstr("must be rising, in [0, 100]"));
+  EXPECT_THAT(refusal("{percent: [60, 400], source: x}"), testing::HasSubstr("must be rising, in [0, 100]"));
+  EXPECT_THAT(refusal("{percent: 60, source: x}"), testing::HasSubstr("must be [LOW, HIGH]"));
+  EXPECT_THAT(refusal("{percent: [60, 70]}"), testing::HasSubstr("source is missing"));
 }
 
 }  // namespace

@@ -142,6 +142,16 @@ Task square_task() {
   return task;
 }
 
+TEST(SilhouetteArea, CountsWhatIsCoveredOnce) {
+  Positions two(2 * 64, 3);
+  two << square(0.2, {0.1, 0.1}), square(0.2, {0.2, 0.1});  // half of each lies over the other
+  Faces faces(2 * square_faces().rows(), 3);
+  faces << square_faces(), (square_faces().array() + 64).matrix();
+  EXPECT_NEAR(silhouette_area(two, faces), 0.06, 1e-9);
+  EXPECT_NEAR(silhouette_area(square(0.2, {0, 0}, 0.3), square_faces(), 0.0005), 0.04, 4e-5);
+  EXPECT_TRUE(std::isnan(silhouette_area(square(0.2, {300, 0}), square_faces())));
+}
+
 TEST(ShapeErrors, AreThoseOfTheVerticesThatCount) {
   const Task task = square_task();
   const Positions goal = task.garment->positions;

@@ -10,12 +10,6 @@
 namespace weft::physics {
 namespace {
 
-Vec3 mean_of(const Positions& x, const std::vector<Index>& rows) {
-  Vec3 sum = Vec3::Zero();
-  for (const Index i : rows) sum += x.row(i).transpose();
-  return sum / static_cast<double>(rows.size());
-}
-
 /// Heavy elastica: a cantilever of length L under its own weight, B theta'' = w (L - s) cos(theta), for G = w L^3 / B.
 struct Elastica {
   double g, x, drop;  ///< G, tip x / L, tip drop / L
@@ -23,20 +17,6 @@ struct Elastica {
 constexpr Elastica kElastica[] = {{0.5, 0.99778, 0.06231}, {1.0, 0.99125, 0.12347}, {2.0, 0.96689, 0.23851},
                                   {4.0, 0.89011, 0.42516}, {8.0, 0.72442, 0.64063}, {10.0, 0.65635, 0.70020},
                                   {20.0, 0.44523, 0.82988}};
-
-/// Tip of a cantilever at rest: (x / L, drop / L). `fabric` gives the stiffness; drag near the critical one is added.
-Vec2 cantilever(Simulator& simulator, const Sheet& sheet, Fabric fabric, double bend) {
-  const double length = sheet.length - 0.5 * sheet.edge, rho = fabric.density_kg_per_m2;
-  const double frequency = std::sqrt(12.4 * bend / (rho * std::pow(length, 4)) + 1.5 * kGravity / length);
-  fabric.damping_air_per_s = 1.4 * frequency;
-  Scene scene = no_ground();
-  for (const double x : {0.0, sheet.edge})
-    for (const Index i : sheet.column(x)) scene.pins.push_back(i);
-  simulator.reset(sheet.garment("cantilever"), fabric, scene);
-  rest(simulator, 2e-4, 900);
-  const Vec3 tip = mean_of(simulator.positions(), sheet.column(sheet.length));
-  return {(tip.x() - 0.5 * sheet.edge) / length, -tip.z() / length};
-}
 
 }  // namespace
 
@@ -111,21 +91,6 @@ void add_elastica(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
          }});
   }
 }
-
-namespace {
-
-/// Tip extension of a strip that hangs by one column, m.
-double hang(Simulator& simulator, const Sheet& sheet, Fabric fabric, double stiffness) {
-  fabric.damping_air_per_s = 1.5 * std::numbers::pi / sheet.length * std::sqrt(stiffness / fabric.density_kg_per_m2);
-  Scene scene = no_ground();
-  scene.gravity = {kGravity, 0.0, 0.0};
-  scene.pins = sheet.column(0.0);
-  simulator.reset(sheet.garment("hanging strip"), fabric, scene);
-  rest(simulator, 1e-6, 600);
-  return mean_of(simulator.positions(), sheet.column(sheet.length)).x() - sheet.length;
-}
-
-}  // namespace
 
 void add_hanging(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
   for (const double edge : {p.garment_edge_m, 0.5 * p.garment_edge_m})

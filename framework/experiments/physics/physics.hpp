@@ -43,6 +43,7 @@ struct PhysicsParams {
   double density_kg_per_m2 = 0.15;
   double stretch_n_per_m = 100.0;
   double bend_n_m = 2.0e-5;
+  ConfigNode fabric;
   std::vector<std::string> tests;
   /// Random folds of the task. Fold s draws material and controls from seed s alone, so each fold can be replayed.
   struct Folds {
@@ -74,6 +75,8 @@ struct PhysicsParams {
     v("density_kg_per_m2", density_kg_per_m2, range(0.001, 10, "kg/m^2"), "Density of the test fabric.");
     v("stretch_n_per_m", stretch_n_per_m, range(0.1, 1e6, "N/m"), "Membrane stiffness of the test fabric, both ways.");
     v("bend_n_m", bend_n_m, range(1e-9, 1, "N m"), "Bending stiffness of the test fabric, unless the test sets it.");
+    v("fabric", fabric, "The fabric of the tests drape, bending length and tensile; default: the test fabric.",
+      FileOrMapping{});
     v("tests", tests, "Names of the tests to run; empty: all.");
     v.group("folds", folds, "Random folds over the whole material and control range.");
   }

@@ -140,4 +140,33 @@ Index rest(Simulator& simulator, double speed, Index limit) {
   return limit;
 }
 
+Vec3 mean_of(const Positions& x, const std::vector<Index>& rows) {
+  Vec3 sum = Vec3::Zero();
+  for (const Index i : rows) sum += x.row(i).transpose();
+  return sum / static_cast<double>(rows.size());
+}
+
+Vec2 cantilever(Simulator& simulator, const Sheet& sheet, Fabric fabric, double bend) {
+  const double length = sheet.length - 0.5 * sheet.edge, rho = fabric.density_kg_per_m2;
+  const double frequency = std::sqrt(12.4 * bend / (rho * std::pow(length, 4)) + 1.5 * kGravity / length);
+  fabric.damping_air_per_s = 1.4 * frequency;
+  Scene scene = no_ground();
+  for (const double x : {0.0, sheet.edge})
+    for (const Index i : sheet.column(x)) scene.pins.push_back(i);
+  simulator.reset(sheet.garment("cantilever"), fabric, scene);
+  rest(simulator, 2e-4, 900);
+  const Vec3 tip = mean_of(simulator.positions(), sheet.column(sheet.length));
+  return {(tip.x() - 0.5 * sheet.edge) / length, -tip.z() / length};
+}
+
+double hang(Simulator& simulator, const Sheet& sheet, Fabric fabric, double stiffness, double gravity) {
+  fabric.damping_air_per_s = 1.5 * std::numbers::pi / sheet.length * std::sqrt(stiffness / fabric.density_kg_per_m2);
+  Scene scene = no_ground();
+  scene.gravity = {gravity, 0.0, 0.0};
+  scene.pins = sheet.column(0.0);
+  simulator.reset(sheet.garment("hanging strip"), fabric, scene);
+  rest(simulator, 1e-6, 600);
+  return mean_of(simulator.positions(), sheet.column(sheet.length)).x() - sheet.length;
+}
+
 }  // namespace weft::physics

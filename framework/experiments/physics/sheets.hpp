@@ -57,5 +57,10 @@ void set_bend(Fabric& fabric, double bend);
 Scene no_ground();
 /// Steps until the largest speed stays below `speed` for ten frames in a row. @return frames, at most `limit`.
 Index rest(Simulator& simulator, double speed, Index limit);
+Vec3 mean_of(const Positions& x, const std::vector<Index>& rows);
+/// Tip of a cantilever at rest: (x / L, drop / L). `fabric` gives the stiffness; drag near the critical one is added.
+Vec2 cantilever(Simulator& simulator, const Sheet& sheet, Fabric fabric, double bend);
+/// Tip extension, m, of a strip that hangs by one column under `gravity`, m/s^2. `stiffness`, N/m, gives the drag.
+double hang(Simulator& simulator, const Sheet& sheet, Fabric fabric, double stiffness, double gravity = kGravity);
 
 }  // namespace weft::physics

@@ -6,15 +6,17 @@
 #include "experiments/physics/closed_forms.hpp"
 #include "experiments/physics/folds.hpp"
 #include "experiments/physics/sewn_cloth.hpp"
+#include "experiments/physics/textiles.hpp"
 #include "loader/where.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
 
 std::vector<std::string> physics_test_names() {
-  return {"elastica", "orthotropy",     "hanging",    "catenary",     "incline",    "cloth on cloth", "thrown sheet",
-          "crease",   "garment crease", "folds",      "paired folds", "properties", "free fall",      "rest",
-          "momentum", "energy",         "refinement", "closed tube",  "two layers"};
+  return {"elastica",     "orthotropy", "hanging",        "catenary", "incline",      "cloth on cloth",
+          "thrown sheet", "crease",     "garment crease", "folds",    "paired folds", "properties",
+          "free fall",    "rest",       "momentum",       "energy",   "refinement",   "closed tube",
+          "two layers",   "drape",      "bending length", "tensile"};
 }
 
 std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task,
@@ -35,6 +37,7 @@ std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_
   physics::add_folds(all, params, task);
   physics::add_dynamics(all, params);
   physics::add_sewn_cloth(all, params);
+  physics::add_textiles(all, params);
   if (params.tests.empty()) return all;
   std::vector<PhysicsCase> chosen;
   for (auto& one : all)
