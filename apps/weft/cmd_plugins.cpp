@@ -10,6 +10,7 @@
 #include "experiments/physics/physics.hpp"
 #include "options.hpp"
 #include "simulation/scene.hpp"
+#include "simulation/surroundings.hpp"
 #include "weft/config.hpp"
 
 namespace weft::app {
@@ -61,6 +62,7 @@ constexpr FileKind kFileKinds[] = {
     {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
     {"ablation", "weft ablate", describe_params<AblationParams>},
     {"scene", "weft simulate", describe_scene},
+    {"obstacles", "scene.obstacles of tasks, obstacles of scenes", describe_obstacles},
     {"slurm", "--on slurm:PROFILE", describe_params<ClusterProfile>},
 };
 

@@ -172,9 +172,16 @@ void export_gltf(const std::filesystem::path& file, const SessionRecord& session
   const bool is_garment = session.has_correspondence;
   const int goal = add_mesh(model, out, "goal", shown.positions, shown.faces, is_garment ? faces : out.add(shown.faces),
                             is_garment ? uv : -1, add_material(model, "goal", {0.0, 0.25, 0.12, 0.4}));
+  std::vector<int> nodes{cloth, goal};
+  for (std::size_t k = 0; k < session.obstacles.size(); ++k) {
+    const Mesh body = session.drawn_obstacle(k);
+    const std::string name = "obstacle_" + std::to_string(k) + "_" + session.obstacles[k].name;
+    nodes.push_back(add_mesh(model, out, name, body.positions, body.faces, out.add(body.faces), -1,
+                             add_material(model, name, {0.45, 0.42, 0.38, 1.0})));
+  }
   add_targets(model.meshes[0], out, session, timeline);
   if (timeline.frames.size() > 1) add_animation(model, out, timeline, cloth);
-  add_scene(model, {cloth, goal});
+  add_scene(model, std::move(nodes));
 
   tinygltf::TinyGLTF writer;
   const bool binary = file.extension() != ".gltf";

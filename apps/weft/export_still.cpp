@@ -358,6 +358,11 @@ double write_still(const std::filesystem::path& file, const SessionRecord& sessi
   double range = options.range_mm;
   if (options.distance && range <= 0) range = round_range(session);
   const Vector distances = options.distance ? session.vertex_distances_mm(shape) : Vector();
+  for (std::size_t k = 0; k < session.obstacles.size(); ++k) {
+    const Mesh body = session.drawn_obstacle(k);
+    draw_cloth(canvas, camera, Surface(body.positions, body.faces, camera),
+               [](Index, bool, double, double, double) { return rgb(0xb9b2a7); });
+  }
   const Surface cloth(shape, session.faces, camera);
   draw_cloth(canvas, camera, cloth, [&](Index f, bool front, double u, double v, double w) {
     if (!options.distance) return rgb(front ? 0x4a8bc9 : 0xe5a13c);

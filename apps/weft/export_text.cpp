@@ -107,7 +107,17 @@ void export_usd(const fs::path& file, const SessionRecord& session, const Timeli
              {0.0, 0.25, 0.12}, 0.4);
   out.text("        point3f[] points = ");
   print_points(out, goal.positions);
-  out.text("\n    }\n}\n");
+  out.text("\n    }\n");
+  for (std::size_t k = 0; k < session.obstacles.size(); ++k) {
+    const Mesh obstacle = session.drawn_obstacle(k);
+    out.text("\n");
+    print_mesh("obstacle_" + std::to_string(k) + "_" + session.obstacles[k].name, obstacle.faces, false,
+               {0.45, 0.42, 0.38}, 1.0);
+    out.text("        point3f[] points = ");
+    print_points(out, obstacle.positions);
+    out.text("\n    }\n");
+  }
+  out.text("}\n");
   out.commit();
 }
 
@@ -121,6 +131,9 @@ void export_obj(const fs::path& folder, const SessionRecord& session, const Time
   Mesh goal = session.drawn_goal();
   if (session.has_correspondence) goal.rest = session.rest;
   write_obj(folder / "goal.obj", goal);
+  for (std::size_t k = 0; k < session.obstacles.size(); ++k)
+    write_obj(folder / ("obstacle_" + std::to_string(k) + "_" + session.obstacles[k].name + ".obj"),
+              session.drawn_obstacle(k));
 }
 
 void export_csv(const fs::path& folder, const SessionRecord& session, const Timeline& timeline) {

@@ -38,6 +38,22 @@ std::string grasp_strain_warning(double largest_strain, double limit) {
   return text;
 }
 
+void check_obstacle(const std::string& plugin, const Obstacle& o, std::size_t place) {
+  const auto refuse = [&](const std::string& what) {
+    throw ConfigError(plugin + ": scene.obstacles." + std::to_string(place) + " (" + o.name + "): " + what);
+  };
+  if (!o.centre.allFinite() || !o.half_size.allFinite() || !o.axes.allFinite() || !std::isfinite(o.rounding))
+    refuse("place or size is not finite");
+  if (!(o.axes.transpose() * o.axes).isIdentity(1e-9)) refuse("axes are not orthonormal");
+  if (o.friction && !(std::isfinite(*o.friction) && *o.friction >= 0.0))
+    refuse("friction = " + number(*o.friction) + ", must be at least 0");
+  if (o.kind == Obstacle::Kind::half_space) return;
+  if (!(o.half_size.minCoeff() > 0.0)) refuse("a size is " + number(o.half_size.minCoeff()) + ", must be above 0");
+  if (!(o.rounding >= 0.0 && o.rounding <= o.half_size.minCoeff()))
+    refuse("the radius of its edges is " + number(o.rounding) + ", must be in [0, " + number(o.half_size.minCoeff()) +
+           "], half of its smallest size");
+}
+
 bool contains(std::span<const Index> list, Index value) {
   return std::find(list.begin(), list.end(), value) != list.end();
 }
@@ -85,6 +101,7 @@ void check_reset(const std::string& plugin, const Garment* garment, const Fabric
   if (!scene.initial_velocity.allFinite()) throw ConfigError(plugin + ": scene.initial_velocity is not finite");
   if (scene.ground_height && !std::isfinite(*scene.ground_height))
     throw ConfigError(plugin + ": scene.ground_height is not finite");
+  for (std::size_t k = 0; k < scene.obstacles.size(); ++k) check_obstacle(plugin, scene.obstacles[k], k);
   const Index n = garment->vertex_count();
   for (const Index pin : scene.pins)
     if (pin < 0 || pin >= n)
@@ -95,11 +112,35 @@ void check_reset(const std::string& plugin, const Garment* garment, const Fabric
   if (!capabilities.gravity_any_direction && (scene.gravity.x() != 0.0 || scene.gravity.y() != 0.0))
     throw ConfigError(plugin + ": scene.gravity is not vertical, must be: " +
                       "this simulator supports vertical gravity only (capability gravity_any_direction)");
+  if (!capabilities.obstacles && !scene.obstacles.empty())
+    throw ConfigError(plugin + ": scene.obstacles has a " + scene.obstacles[0].name +
+                      ", must be empty: this simulator knows no obstacles (capability obstacles)");
   if (!capabilities.orthotropic) check_isotropic(plugin, fabric);
   if (!capabilities.rest_frames && (garment->has_frames() || garment->form.seams.rows() > 0))
     throw ConfigError(plugin + ": garment " + garment->name +
                       " has rest frames or seams: this simulator needs one place in the plane for each vertex "
                       "(capability rest_frames)");
+}
+
+Positions start_positions(const Garment& garment, const Scene& scene, double thickness) {
+  if (scene.obstacles.empty())
+    return scene.ground_height ? positions_on_ground(garment, *scene.ground_height, thickness) : garment.positions;
+  const bool layers = !garment.form.layers.empty();
+  const double floor = scene.ground_height.value_or(-std::numeric_limits<double>::infinity());
+  Positions positions = positions_on_ground(garment, layers ? std::max(floor, 0.0) : floor, thickness);
+  for (Index v = 0; v < positions.rows(); ++v) {
+    if (contains(scene.pins, v)) continue;
+    for (const Obstacle& obstacle : scene.obstacles) {
+      const ObstacleDistance at = obstacle_distance(obstacle, positions.row(v).transpose());
+      if (at.distance < -thickness)
+        throw ConfigError("garment " + garment.name + ": vertex " + std::to_string(v) + " starts " +
+                          number(-1e3 * at.distance) + " mm inside the obstacle " + obstacle.name +
+                          ", must start outside");
+      const double lack = (layers ? garment.layer(v) + 1.0 : 1.0) * thickness - at.distance;
+      if (lack > 0.0) positions.row(v) += lack * at.normal.transpose();
+    }
+  }
+  return positions;
 }
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -154,8 +195,7 @@ void SimulatorBase::reset(std::shared_ptr<const Garment> garment, const Fabric& 
   for (const Index pin : scene_.pins) pinned_[pin] = 1;
   is_held_.assign(n, 0);
   set_held({});
-  positions_ = scene.ground_height ? positions_on_ground(*garment_, *scene.ground_height, fabric.thickness_m)
-                                   : garment_->positions;
+  positions_ = start_positions(*garment_, scene, fabric.thickness_m);
   velocities_ = scene_.initial_velocity.transpose().replicate(n, 1);
   for (Index i = 0; i < n; ++i) {
     if (!pinned_[i]) continue;

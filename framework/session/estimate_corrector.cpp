@@ -256,6 +256,8 @@ class EstimateCorrector::Search {
   }
   /// The start shape moves with the thickness.
   Positions flat(const MaterialProperties& q) const {
+    if (!owner_.task_.scene.obstacles.empty())
+      return start_positions(*owner_.task_.garment, owner_.task_.scene, thickness(q(kThickness)));
     const double ground = owner_.task_.scene.ground_height.value_or(0.0);
     return positions_on_ground(*owner_.task_.garment, ground, thickness(q(kThickness)));
   }

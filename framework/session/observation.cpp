@@ -1,5 +1,6 @@
 #include "session/observation.hpp"
 
+#include "simulation/surroundings.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
@@ -65,7 +66,7 @@ std::shared_ptr<const Positions> filled_start(const Task& task, const Observatio
   }
   if (count > 0) {
     height /= static_cast<double>(count);
-    const double ground = task.scene.ground_height.value_or(0.0);
+    const double ground = work_surface(task);
     for (Index v = 0; v < expected.rows(); ++v)
       expected(v, 2) = garment.form.layers.empty()
                            ? height

@@ -129,6 +129,10 @@ std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& t
   const auto predictor = host.create<Predictor>(slot);
   const auto files = host.files(Predictor::kKind, slot);
   blaming(files.empty() ? slot : files.front(), [&] { predictor->bind(task); });
+  if (!task.scene.obstacles.empty() && !predictor->capabilities().obstacles)
+    host.log(LogLevel::warning,
+             "the predictor does not know the task's obstacles (capability obstacles): it predicts what its examples "
+             "were, and a plan is right only where the simulator corrects it (correction)");
   return predictor;
 }
 

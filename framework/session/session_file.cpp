@@ -4,10 +4,12 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "meshes/obstacle_mesh.hpp"
 #include "sdk/garment_arrays.hpp"
 #include "sdk/json_text.hpp"
 #include "session/search_end.hpp"
 #include "session/session.hpp"
+#include "simulation/surroundings.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {
@@ -102,6 +104,18 @@ void check_texts(const Reader& in, const SessionRecord& record) {
     };
     if (!list.is_array() || !std::all_of(list.begin(), list.end(), is_variable))
       in.fail("/trajectory", "must have " + std::string(kind) + ": [{name, unit}]");
+  }
+}
+
+/// The obstacles of the task, from the resolved config.
+std::vector<Obstacle> obstacles_in(const Reader& in, const std::string& config) {
+  try {
+    const ConfigNode root = ConfigNode::parse(config, "/config");
+    const auto scene = root.is_mapping() ? root.find("scene") : std::nullopt;
+    const auto list = scene && scene->is_mapping() ? scene->find("obstacles") : std::nullopt;
+    return list ? read_obstacles(*list) : std::vector<Obstacle>();
+  } catch (const ConfigError& error) {
+    in.fail("/config", std::string("is damaged: ") + error.what());
   }
 }
 
@@ -278,6 +292,10 @@ Mesh SessionRecord::drawn_goal() const {
   return mesh;
 }
 
+Mesh SessionRecord::drawn_obstacle(std::size_t k) const {
+  return obstacle_mesh(obstacles.at(k), start.colwise().mean().transpose());
+}
+
 std::shared_ptr<const GoalSurface> SessionRecord::goal_surface(const Garment& garment, const std::string& loss) const {
   const GoalKind seen_as = loss == "silhouette" ? GoalKind::silhouette : GoalKind::surface;
   return std::make_shared<const GoalSurface>(has_correspondence ? seen_as : goal_kind, goal, goal_faces, garment);
@@ -410,6 +428,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
     in.fail("/schema", "must be 'weft session 1' or 'weft session 2': this is not a recorded session");
   SessionRecord record;
   record.config = in.text("/config");
+  record.obstacles = obstacles_in(in, record.config);
   record.provenance = in.text("/provenance");
   record.summary = in.text("/summary");
   record.trajectory = in.optional_text("/trajectory");

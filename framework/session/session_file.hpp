@@ -9,6 +9,7 @@
 #include "weft/error.hpp"
 #include "weft/material.hpp"
 #include "weft/mesh.hpp"
+#include "weft/obstacle.hpp"
 #include "weft/types.hpp"
 
 namespace weft {
@@ -39,6 +40,7 @@ struct SessionRecord {
   RestPositions rest;
   GarmentForm form;  ///< of schema 2; empty for garments of one chart and one layer
   std::vector<Index> grasp_vertices;
+  std::vector<Obstacle> obstacles;              ///< those of `config`
   Positions start, default_shape, final_shape;  ///< [V, 3] m
   bool has_correspondence = true;               ///< whether the goal's vertices are the garment's
   GoalKind goal_kind = GoalKind::surface;
@@ -56,6 +58,8 @@ struct SessionRecord {
   Vector vertex_distances_mm(const Positions& shape) const;
   /// The goal as a mesh to draw, without rest positions: points are small squares.
   Mesh drawn_goal() const;
+  /// An obstacle as a mesh to draw.
+  Mesh drawn_obstacle(std::size_t k) const;
   /// The goal without correspondence, or as a planning loss chamfer or silhouette sees it.
   std::shared_ptr<const GoalSurface> goal_surface(const Garment& garment, const std::string& loss) const;
   Index segments() const { return rounds.size(); }

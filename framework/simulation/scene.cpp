@@ -8,6 +8,7 @@
 #include "meshes/garment_writer.hpp"
 #include "meshes/intersections.hpp"
 #include "simulation/simulator_warnings.hpp"
+#include "simulation/surroundings.hpp"
 
 namespace weft {
 namespace {
@@ -44,18 +45,10 @@ struct GraspParams {
     v("release_s", release_s, range(0, 1e6, "s"), "When the hand lets go; left out, it holds to the end.");
   }
 };
-struct GroundParams {
-  double height_m = kNotGiven;
-  template <class Visitor>
-  void visit(Visitor& v) {
-    v("height_m", height_m, range(-1e3, 1e3, "m"),
-      "Height of the ground. Without `ground` it lies at 0; with `ground: none` there is none.");
-  }
-};
 struct SceneParams {
   std::string description;
   ConfigNode simulator = ConfigNode::parse("{plugin: cloth}", "default");
-  ConfigNode garment, fabric, ground, grasps;
+  ConfigNode garment, fabric, ground, obstacles, grasps;
   std::vector<double> gravity_m_per_s2 = {0.0, 0.0, -9.81};
   std::vector<double> initial_velocity_m_per_s = {0.0, 0.0, 0.0};
   std::vector<std::string> pins;
@@ -74,6 +67,7 @@ struct SceneParams {
     v("gravity_m_per_s2", gravity_m_per_s2, range(-1e3, 1e3, "m/s^2"), "Turn it to tilt the ground.",
       Length{3, "x, y, z"});
     v("ground", ground, "The ground.");
+    v("obstacles", obstacles, "Bodies that stand still: a list of {box}, {cylinder}, {half_space} and {table}.");
     v("pins", pins, "Vertices that never move: indices, or names of the garment.");
     v("initial_velocity_m_per_s", initial_velocity_m_per_s, range(-1e3, 1e3, "m/s"),
       "Of every vertex that is not pinned.", Length{3, "x, y, z"});
@@ -275,7 +269,9 @@ std::vector<ParamInfo> describe_scene() {
   };
   for (const ParamInfo& info : describe_params<SceneParams>()) {
     if (info.name == "ground") {
-      add("ground.", describe_params<GroundParams>());
+      add("ground.", describe_ground());
+    } else if (info.name == "obstacles") {
+      add("obstacles.N.", describe_obstacles());
     } else if (info.name == "grasps") {
       for (const ParamInfo& key : describe_params<GraspParams>()) {
         if (key.name == "keyframes")
@@ -300,15 +296,9 @@ SceneRun read_scene(const ConfigNode& config) {
       std::make_shared<const Garment>(read_garment(params.garment.is_null() ? config.at("garment") : params.garment));
   run.fabric = read_fabric(params.fabric.is_null() ? config.at("fabric") : params.fabric);
   run.scene.gravity = vec3_of(params.gravity_m_per_s2);
-  if (const ConfigNode& ground = params.ground; ground.is_scalar()) {
-    if (ground.as_string() != "none") ground.fail("= " + ground.as_string() + ", must be none or {height_m: ...}");
-    run.scene.ground_height = std::nullopt;
-  } else if (!ground.is_null()) {
-    GroundParams given;
-    read_params(ground, given);
-    require_given(ground, "height_m", given.height_m);
-    run.scene.ground_height = given.height_m;
-  }
+  run.scene.ground_height = read_ground(params.ground);
+  run.obstacles = params.obstacles;
+  run.scene.obstacles = read_obstacles(params.obstacles);
   if (!params.pins.empty()) run.scene.pins = vertices_in(config.at("pins"), *run.garment);
   run.scene.initial_velocity = vec3_of(params.initial_velocity_m_per_s);
   if (const ConfigNode& grasps = params.grasps; !grasps.is_null()) {
@@ -345,6 +335,7 @@ ConfigNode write_scene(const SceneRun& run, const std::string& garment_file) {
        {"ground", run.scene.ground_height
                       ? ConfigNode::mapping({{"height_m", ConfigNode::number(*run.scene.ground_height)}})
                       : ConfigNode::scalar("none")},
+       {"obstacles", run.obstacles},
        {"pins", vertices_node(run.scene.pins)},
        {"initial_velocity_m_per_s", vector_node(run.scene.initial_velocity)},
        {"grasps", ConfigNode::sequence(std::move(grasps))},

@@ -31,6 +31,7 @@ struct SceneRun {
   std::shared_ptr<const Garment> garment;
   Fabric fabric;
   Scene scene;
+  ConfigNode obstacles;  ///< those of `scene`, as they were given; null: none
   std::vector<SceneGrasp> grasps;
   double duration = 0.0;  ///< s
   Index output_every_frames = 12;

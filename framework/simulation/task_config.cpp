@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "simulation/simulator_warnings.hpp"
+#include "simulation/surroundings.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -23,6 +24,8 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   task.settle = {params.settle.speed_m_per_s, params.settle.hold_frames, params.settle.max_frames};
   require_shape("task: gravity", params.scene.gravity_m_per_s2.size(), 3);
   task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
+  task.scene.ground_height = read_ground(params.scene.ground);
+  task.scene.obstacles = read_obstacles(params.scene.obstacles);
 
   auto& manipulation = task.manipulation;
   if (std::ssize(params.manipulation.grasp) != task.trajectory->hands()) {
@@ -43,7 +46,15 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   manipulation.drop_height = params.manipulation.drop_height_m;
   // All fabrics share one path, so the targets must clear the ground with the thickest one.
   const auto& thickness = task.material.ranges[3];
-  manipulation.contact_height = task.scene.ground_height.value_or(0.0) + std::max(thickness.low, thickness.high);
+  const double thickest = std::max(thickness.low, thickness.high);
+  manipulation.contact_height = task.scene.ground_height.value_or(0.0) + thickest;
+  if (!task.scene.obstacles.empty()) {
+    const Positions start =
+        blaming(place(origin, "scene.obstacles"), [&] { return start_positions(*task.garment, task.scene, thickest); });
+    manipulation.contact_height = start(manipulation.grasp_vertices.front(), 2);
+    for (const Index vertex : manipulation.grasp_vertices)
+      manipulation.contact_height = std::max(manipulation.contact_height, start(vertex, 2));
+  }
   manipulation.grasp_points.col(2).setConstant(manipulation.contact_height);
   try {
     task.trajectory->initial_state(manipulation);  // refuses a bad manipulation, such as |d| = 0, before any work

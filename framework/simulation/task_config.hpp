@@ -30,9 +30,13 @@ struct TaskParams {
   } manipulation;
   struct World {
     std::vector<double> gravity_m_per_s2 = {0.0, 0.0, -9.81};
+    ConfigNode ground, obstacles;
     template <class Visitor>
     void visit(Visitor& v) {
       v("gravity_m_per_s2", gravity_m_per_s2, range(-100, 100, "m/s^2"), "Gravity.", Length{3, "x, y, z"});
+      v("ground", ground, "{height_m: ...}, or none. Without it the ground lies at 0.");
+      v("obstacles", obstacles,
+        "Bodies that stand still: a list of {box}, {cylinder}, {half_space} and {table}; `weft describe obstacles`.");
     }
   } scene;
   struct Settle {

@@ -20,6 +20,7 @@
 #include "simulator/cloth/contact_search.cpp"
 #include "simulator/cloth/elements.cpp"
 #include "simulator/cloth/mass_scaling.cpp"
+#include "simulator/cloth/obstacle_contact.cpp"
 #include "simulator/cloth/patches.cpp"
 #include "simulator/cloth/stability.cpp"
 #include "simulator/cloth/tables.cpp"

@@ -162,10 +162,7 @@ void add_catenary(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
 
 namespace {
 
-/// Mean slide (m) of a sheet down a slope tan(alpha) = slope after `seconds`; also the largest motion of any vertex.
-struct Slide {
-  double mean = 0.0, largest = 0.0;
-};
+/// A sheet on the ground after `seconds`, gravity turned to the slope tan(alpha) = slope.
 Slide slide(Simulator& simulator, const Sheet& sheet, const Fabric& fabric, double slope, double seconds, Index from,
             Index count) {
   const double alpha = std::atan(slope);
@@ -178,6 +175,8 @@ Slide slide(Simulator& simulator, const Sheet& sheet, const Fabric& fabric, doub
   const Positions moved = (simulator.positions() - start).middleRows(from, count);
   return {moved.col(0).mean(), moved.rowwise().norm().maxCoeff()};
 }
+
+}  // namespace
 
 void incline_rows(std::vector<PhysicsRow>& rows, const std::string& test, const SimulatorVariant& variant,
                   const std::string& name, double mu, double seconds, double slack,
@@ -200,8 +199,6 @@ void incline_rows(std::vector<PhysicsRow>& rows, const std::string& test, const 
       rows.push_back(relative(test, variant, label, "acceleration m/s^2", wanted, got, slack));
   }
 }
-
-}  // namespace
 
 void add_incline(std::vector<PhysicsCase>& cases, const PhysicsParams& p) {
   for (const double edge : {p.garment_edge_m, 0.5 * p.garment_edge_m})

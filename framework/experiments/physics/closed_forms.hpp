@@ -1,4 +1,6 @@
 #pragma once
+#include <functional>
+#include <string>
 #include <vector>
 
 #include "experiments/physics/physics.hpp"
@@ -14,6 +16,15 @@ void add_hanging(std::vector<PhysicsCase>& cases, const PhysicsParams& params);
 void add_catenary(std::vector<PhysicsCase>& cases, const PhysicsParams& params);
 /// incline, cloth on cloth, thrown sheet: Coulomb's friction.
 void add_incline(std::vector<PhysicsCase>& cases, const PhysicsParams& params);
+/// How far a sheet slides down a slope, m: the mean, and the largest motion of any vertex.
+struct Slide {
+  double mean = 0.0, largest = 0.0;
+};
+/// Rows of a sheet on a slope: it sticks `slack` below the threshold, slides `slack` above it, and its acceleration.
+/// @param seconds of the longest slide. @param run (simulator, tan(alpha), s).
+void incline_rows(std::vector<PhysicsRow>& rows, const std::string& test, const SimulatorVariant& variant,
+                  const std::string& name, double mu, double seconds, double slack,
+                  const std::function<Slide(Simulator&, double, double)>& run);
 /// free fall, rest, momentum, energy, refinement.
 void add_dynamics(std::vector<PhysicsCase>& cases, const PhysicsParams& params);
 

@@ -5,6 +5,7 @@
 
 #include "experiments/physics/closed_forms.hpp"
 #include "experiments/physics/folds.hpp"
+#include "experiments/physics/obstacles.hpp"
 #include "experiments/physics/sewn_cloth.hpp"
 #include "experiments/physics/textiles.hpp"
 #include "loader/where.hpp"
@@ -13,10 +14,10 @@
 namespace weft {
 
 std::vector<std::string> physics_test_names() {
-  return {"elastica",     "orthotropy", "hanging",        "catenary", "incline",      "cloth on cloth",
-          "thrown sheet", "crease",     "garment crease", "folds",    "paired folds", "properties",
-          "free fall",    "rest",       "momentum",       "energy",   "refinement",   "closed tube",
-          "two layers",   "drape",      "bending length", "tensile"};
+  return {"elastica", "orthotropy",     "hanging",    "catenary",     "incline",    "cloth on cloth", "thrown sheet",
+          "crease",   "garment crease", "folds",      "paired folds", "properties", "free fall",      "rest",
+          "momentum", "energy",         "refinement", "closed tube",  "two layers", "drape",          "bending length",
+          "tensile",  "tilted box",     "capstan",    "table edge"};
 }
 
 std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_ptr<const Task> task,
@@ -38,6 +39,7 @@ std::vector<PhysicsCase> physics_cases(const PhysicsParams& params, std::shared_
   physics::add_dynamics(all, params);
   physics::add_sewn_cloth(all, params);
   physics::add_textiles(all, params);
+  physics::add_obstacles(all, params);
   if (params.tests.empty()) return all;
   std::vector<PhysicsCase> chosen;
   for (auto& one : all)

@@ -106,13 +106,14 @@ struct PredictorCapabilities {
   bool jvp = false;
   bool deterministic = true;  ///< the same case gives the same bits in every batch
   bool needs_binding = true;  ///< bind() must come before predict()
+  bool obstacles = false;     ///< Scene::obstacles of the task take part; else the session warns
 };
 
 /// Predicts shapes from a start shape, controls and material knowledge (section 2.3). Thread-safe after bind().
 class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
-  static constexpr int kVersion = 8;  // bump on any change to this class, the types above or trainable.hpp
+  static constexpr int kVersion = 9;  // bump on any change to this class, the types above or trainable.hpp
   static constexpr TypeSize kCrossing[] = {{"Task", sizeof(Task)},
                                            {"PredictionCase", sizeof(PredictionCase)},
                                            {"PredictionRequest", sizeof(PredictionRequest)},

@@ -11,6 +11,7 @@
 
 #include "weft/garment.hpp"
 #include "weft/material.hpp"
+#include "weft/obstacle.hpp"
 #include "weft/types.hpp"
 
 namespace weft {
@@ -21,7 +22,14 @@ struct Scene {
   std::optional<double> ground_height = 0.0;  ///< m; nullopt: no ground
   std::vector<Index> pins;                    ///< vertices that stay fixed for the whole run
   Vec3 initial_velocity = Vec3::Zero();       ///< m/s, of every vertex that is not pinned
+  std::vector<Obstacle> obstacles;            ///< capability `obstacles`
 };
+
+/// Where reset() puts the cloth, [V, 3] m: at positions_on_ground(). In a scene with obstacles a garment with layers
+/// lies at height 0, or on the ground where that is higher, and every vertex that is closer to an obstacle than its
+/// layer's number of thicknesses is moved out along the normal.
+/// @throws ConfigError if a vertex starts deeper than one thickness in an obstacle.
+WEFT_API Positions start_positions(const Garment& garment, const Scene& scene, double thickness);
 
 /// The cloth is settled once the largest vertex speed has stayed below `speed` for `hold_frames` frames in a row.
 struct SettleCriterion {
@@ -52,8 +60,8 @@ class WEFT_API SimulatorSnapshot {
 };
 
 /// What a simulator can do. check_reset() refuses a scene, fabric or garment that needs `pins`, `orthotropic`,
-/// `gravity_any_direction` or `rest_frames` if the simulator does not declare it. So every command reports this in the
-/// same words.
+/// `gravity_any_direction`, `rest_frames` or `obstacles` if the simulator does not declare it. So every command reports
+/// this in the same words.
 struct SimulatorCapabilities {
   bool snapshots = false;        ///< save() / restore()
   bool self_contact = false;     ///< layers keep `thickness_m` apart
@@ -63,6 +71,7 @@ struct SimulatorCapabilities {
   bool gravity_any_direction = true;
   /// Honours GarmentForm::frames and GarmentForm::seams. The form's layers concern all simulators: positions_on_ground().
   bool rest_frames = false;
+  bool obstacles = false;  ///< honours Scene::obstacles: keeps the thickness, slides by Coulomb's law
 };
 
 /// Simulates one piece of cloth. Call order: reset, then any of the others. One thread at a time uses an object. Many
@@ -71,10 +80,11 @@ struct SimulatorCapabilities {
 class WEFT_API Simulator {
  public:
   static constexpr const char* kKind = "simulator";
-  static constexpr int kVersion = 3;  // bump on any change to this file
+  static constexpr int kVersion = 4;  // bump on any change to this file or to obstacle.hpp
   static constexpr TypeSize kCrossing[] = {{"Garment", sizeof(Garment)},
                                            {"Fabric", sizeof(Fabric)},
                                            {"Scene", sizeof(Scene)},
+                                           {"Obstacle", sizeof(Obstacle)},
                                            {"SettleCriterion", sizeof(SettleCriterion)},
                                            {"SettleResult", sizeof(SettleResult)},
                                            {"SimulatorDiagnostics", sizeof(SimulatorDiagnostics)},
@@ -85,7 +95,7 @@ class WEFT_API Simulator {
   virtual SimulatorCapabilities capabilities() const = 0;
 
   /// Puts the garment's initial positions into the scene, at scene.initial_velocity, nothing grasped, frame 0.
-  /// On a ground, vertices that are not pinned start at positions_on_ground().
+  /// Vertices that are not pinned start at start_positions().
   /// @throws ConfigError for a fabric or scene that the plugin cannot honour.
   virtual void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) = 0;
 

@@ -419,7 +419,7 @@ class RolloutPrediction final : public PlainPrediction {
 RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
 
 PredictorCapabilities RolloutPredictor::capabilities() const {
-  return {.gradients = true, .jvp = true, .deterministic = true, .needs_binding = true};
+  return {.gradients = true, .jvp = true, .deterministic = true, .needs_binding = true, .obstacles = true};
 }
 
 void RolloutPredictor::bind(const Task& task) {

@@ -74,7 +74,8 @@ class Bullet::World {
         dispatcher_(&configuration_),
         world_(&dispatcher_, &broadphase_, &rigid_solver_, &configuration_, &solver_),
         solver_(*this),
-        contact_(garment, fabric.thickness_m, fabric.self_friction, params.self_contact),
+        contact_(garment, fabric.thickness_m, fabric.self_friction, params.self_contact,
+                 ObstacleContact(garment, scene.obstacles, fabric.thickness_m, fabric.friction)),
         scene_(scene),
         damping_(fabric.damping_stretch_s),
         substeps_(substeps),
@@ -260,6 +261,7 @@ SimulatorCapabilities Bullet::capabilities() const {
   c.pins = true;
   c.orthotropic = true;
   c.rest_frames = true;
+  c.obstacles = true;
   return c;
 }
 

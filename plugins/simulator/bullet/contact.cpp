@@ -130,10 +130,12 @@ std::vector<std::pair<std::int32_t, Box>> near_box(const std::vector<std::int32_
 
 }  // namespace
 
-SelfContact::SelfContact(const Garment& garment, double thickness, double self_friction, bool self)
+SelfContact::SelfContact(const Garment& garment, double thickness, double self_friction, bool self,
+                         ObstacleContact obstacles)
     : thickness_(thickness),
       self_friction_(self_friction),
       self_(self),
+      obstacles_(std::move(obstacles)),
       faces_(garment.faces),
       edges_(edges_of(garment.faces)) {
   const Index n = garment.vertex_count();
@@ -210,6 +212,7 @@ void SelfContact::make_patches(const Garment& garment) {
 
 void SelfContact::forget() {
   before_.clear();
+  obstacles_.forget();
   travelled_.assign(neighbours_.size(), 0.0);
   alarm_.assign(neighbours_.size(), -std::numeric_limits<double>::infinity());
   for (Neighbours& one : neighbours_) one.horizon = alarm_.front();
@@ -277,11 +280,13 @@ void SelfContact::find_pairs(Neighbours& neighbours, double travelled, const std
 void SelfContact::resolve(Substep& substep, int passes) {
   std::fill(lifted_.begin(), lifted_.end(), 0.0);
   if (self_) make_contacts(substep);
+  obstacles_.begin(substep);
   for (int k = 0; k < passes; ++k) {
     push_apart(substep);
-    push_off_ground(substep);
+    push_off(substep);
   }
   rub(substep);
+  obstacles_.rub(substep);
   certify(substep);
 }
 
@@ -384,7 +389,8 @@ void SelfContact::push_apart(Substep& substep) {
   }
 }
 
-void SelfContact::push_off_ground(Substep& substep) {
+void SelfContact::push_off(Substep& substep) {
+  obstacles_.push(substep);
   if (!std::isfinite(substep.floor)) return;
   for (std::size_t i = 0; i < substep.end.size(); ++i) {
     if ((*substep.inverse_mass)[i] == 0.0) continue;
@@ -453,7 +459,7 @@ void SelfContact::certify(Substep& substep) {
         x[i] += (lack * w[i] / both) * contact.normal;
         x[j] -= (lack * w[j] / both) * contact.normal;
       });
-    if (left > 0) push_off_ground(substep);
+    if (left > 0) push_off(substep);
   }
   for (int pass = 0; pass < kTogetherPasses && left > 0; ++pass) {
     left = 0;
@@ -473,10 +479,10 @@ void SelfContact::certify(Substep& substep) {
       for (const auto i : contact.pair->node)
         if (w[i] != 0.0) x[i] = substep.start[i] + move;
     }
-    if (left > 0) push_off_ground(substep);
+    if (left > 0) push_off(substep);
   }
   uncertified_ += left;
-  push_off_ground(substep);
+  push_off(substep);
 }
 
 }  // namespace weft::bullet

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "obstacles.hpp"
 #include "weft/rest_shape.hpp"
 
 namespace weft::bullet {
@@ -35,7 +36,8 @@ struct Substep {
 class SelfContact {
  public:
   /// @param thickness m, distance of mid-surfaces. @param self whether layers of cloth touch one another.
-  SelfContact(const Garment& garment, double thickness, double self_friction, bool self);
+  /// @param obstacles empty, or those of the scene.
+  SelfContact(const Garment& garment, double thickness, double self_friction, bool self, ObstacleContact obstacles);
 
   /// Discards all bounds on distances, because positions will be set from outside.
   void forget();
@@ -81,12 +83,14 @@ class SelfContact {
   void make_contacts(const Substep& substep);
   void add_contacts(std::size_t neighbours, double range, const Substep& substep);
   void push_apart(Substep& substep);
-  void push_off_ground(Substep& substep);
+  /// Off the ground and the obstacles.
+  void push_off(Substep& substep);
   void rub(Substep& substep);
   void certify(Substep& substep);
 
   double thickness_, self_friction_;
   bool self_;
+  ObstacleContact obstacles_;
   Faces faces_;
   Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor> edges_;
   std::vector<Eigen::Vector3d> rest_;  ///< m, in the plane; with frames as the garment was drawn

@@ -24,6 +24,8 @@ constexpr double kSink = 0.08, kSinkScaled = 0.05;
 constexpr double kSinkLength = 5e-5, kSinkMost = 0.1;
 // Part of the explicit limit that the springs of contact take. With scaled masses the elements leave them more of it.
 constexpr float kSpring = 0.4f, kSpringScaled = 0.5f;
+// The springs of obstacles come on top of those of the cloth: so the substep is this part of what it is without them.
+constexpr double kObstacleStep = 0.9;
 // m; a mesh with a smaller mean edge counts as fine.
 constexpr double kFineEdge = 0.012;
 // Waves of the membrane, m/s. On fine meshes faster ones get more inertia, up to so many times fine_inertia_length_m.
@@ -51,6 +53,7 @@ SimulatorCapabilities Cloth::capabilities() const {
   c.pins = true;
   c.orthotropic = true;
   c.rest_frames = true;
+  c.obstacles = true;
   return c;
 }
 
@@ -72,6 +75,8 @@ void Cloth::start() {
   }
   masses_.resize(n);
   for (Index i = 0; i < n; ++i) masses_[i] = fabric.density_kg_per_m2 * topology_->vertex_area[i];
+  obstacles_.reset();
+  if (!scene().obstacles.empty()) obstacles_ = std::make_unique<ObstacleContact>(*topology_, scene().obstacles, fabric);
   choose_inertia(topology_->mean_edge < kFineEdge);
   // A few small faces in a coarse mesh may ask for more substeps than are allowed: so it counts as fine.
   if (kFrameSeconds / longest_step_ > static_cast<double>(params_.max_substeps)) choose_inertia(true);
@@ -126,6 +131,10 @@ void Cloth::choose_step() {
         scaling_->stages() > 1 ? std::clamp(kSinkLength / fabric().thickness_m, kSinkScaled, kSinkMost) : kSink;
     longest_step_ = std::min(longest_step_, contact_->longest_step(scene().gravity.norm(), sink));
   }
+  if (obstacles_) {
+    obstacles_->set_scaled(scaling_->stages() > 1);
+    longest_step_ = std::min(kObstacleStep * longest_step_, obstacles_->longest_step(scene().gravity.norm()));
+  }
 }
 
 void Cloth::check_substeps() const {
@@ -151,6 +160,7 @@ void Cloth::load_state() {
     state_.moved[i] = static_cast<float>(longest_step_ * std::sqrt(vx * vx + vy * vy + vz * vz));
   }
   contact_->clear(state_.contact);
+  if (obstacles_) obstacles_->clear(state_.obstacles);
 }
 
 void Cloth::state_changed() {
@@ -235,6 +245,7 @@ void Cloth::advance_block(double& done, double drag) {
     for (std::int32_t i = 0; i < n; ++i) bound_[i] = contact.path[i] + reach_[i];
     contact_->select(contact, bound_.data());
   }
+  if (obstacles_) obstacles_->prepare(state_.x.data(), reach_.data());
   for (Index k = 0; k < block; ++k) {
     const bool last = k + 1 == left;
     const double excess = substep(dt, drag, last ? 1.0 : (done + dt) / kFrameSeconds);
@@ -274,17 +285,27 @@ double Cloth::substep(double dt, double drag, double part) {
                        state_.inverse_mass.data(), static_cast<float>(dt), static_cast<float>(longest_step_));
     contact_->add_forces(state_.contact, state_.v_float.data(), static_cast<float>(dt), forces_.data());
   }
+  if (obstacles_) {
+    obstacles_->activate(state_.obstacles, state_.x.data(), state_.v.data(), state_.inverse_mass.data(), dt,
+                         longest_step_);
+    obstacles_->add_forces(state_.obstacles, state_.v.data(), dt, forces_.data());
+  }
 
   const bool stop = params_.self_contact && contact_->has_fast();
   // If nothing comes between acceleration and move, one pass over the vertices does both.
-  const bool together = scaling_->stages() == 1 && !stop;
+  const bool together = scaling_->stages() == 1 && !stop && !obstacles_;
   const Gain gain(dt, drag, scene().gravity);
   if (scaling_->stages() > 1)
     accelerate_scaled(dt, drag);
   else if (!together)
     for (std::int32_t i = 0; i < n; ++i) store(state_.v[i], accelerated(i, gain));
   const double floor = this->floor(), mu = fabric().friction;
+  const auto stop_at_obstacles = [&](bool entering) {
+    obstacles_->stop(dt, state_.inverse_mass.data(), entering, state_.v.data());
+  };
+  if (obstacles_) stop_at_obstacles(true);
   if (stop) contact_->stop(state_.x.data(), dt, floor, mu, state_.inverse_mass.data(), state_.v.data());
+  if (stop && obstacles_) stop_at_obstacles(false);  // the impulses between layers may press them into a surface
 
   // Ground, then move.
   const __m256d step = _mm256_set1_pd(dt), per_unit = _mm256_set1_pd(1.0 / elements_->unit());

@@ -5,6 +5,7 @@
 #include "contact.hpp"
 #include "elements.hpp"
 #include "mass_scaling.hpp"
+#include "obstacle_contact.hpp"
 #include "params.hpp"
 #include "stability.hpp"
 #include "weft/simulator.hpp"
@@ -44,6 +45,7 @@ class Cloth final : public SimulatorBase {
     std::vector<float> inverse_mass;  ///< 1/kg, zero for held and pinned vertices
     std::vector<float> moved;         ///< [padded] m, in the last substep
     SelfContact::State contact;
+    ObstacleContact::State obstacles;
     float stiffening = 1.0f;  ///< largest squared stretch in the last substep
   };
 
@@ -67,10 +69,11 @@ class Cloth final : public SimulatorBase {
   std::unique_ptr<Elements> elements_;
   std::unique_ptr<SelfContact> contact_;
   std::unique_ptr<MassScaling> scaling_;
-  std::vector<double> masses_;  ///< kg, lumped: a third of the faces around
-  Spectrum spectrum_;           ///< at rest
-  double longest_step_ = 0.0;   ///< s, at rest
-  double frame_step_ = 0.0;     ///< s, the same with the frame's moduli
+  std::unique_ptr<ObstacleContact> obstacles_;  ///< null: the scene has none
+  std::vector<double> masses_;                  ///< kg, lumped: a third of the faces around
+  Spectrum spectrum_;                           ///< at rest
+  double longest_step_ = 0.0;                   ///< s, at rest
+  double frame_step_ = 0.0;                     ///< s, the same with the frame's moduli
 
   State state_;
   Index last_substeps_ = 0;

@@ -15,14 +15,15 @@ class ToySimulator final : public Simulator {
 
   SimulatorCapabilities capabilities() const override {
     SimulatorCapabilities c;
-    c.snapshots = c.self_contact = c.ground_friction = c.pins = c.gravity_any_direction = c.rest_frames = p_.declare;
+    c.snapshots = c.self_contact = c.ground_friction = c.pins = c.gravity_any_direction = c.rest_frames = c.obstacles =
+        p_.declare;
     return c;
   }
 
   void reset(std::shared_ptr<const Garment> garment, const Fabric& fabric, const Scene& scene) override {
     const bool tilted = scene.gravity.x() != 0.0 || scene.gravity.y() != 0.0;
     SimulatorCapabilities can = capabilities();
-    if (p_.accept) can.pins = can.gravity_any_direction = can.rest_frames = true;
+    if (p_.accept) can.pins = can.gravity_any_direction = can.rest_frames = can.obstacles = true;
     if (is("stretches_by_direction")) can.orthotropic = true;
     check_reset("toy", garment.get(), fabric, scene, can);
     garment_ = std::move(garment);
@@ -34,6 +35,8 @@ class ToySimulator final : public Simulator {
     s_.x = garment_->positions;
     if (scene.ground_height && !is("reset_lifts_to_contact_height"))
       s_.x = positions_on_ground(*garment_, *scene.ground_height, fabric.thickness_m);
+    if (!scene.obstacles.empty() && !is("starts_clear_of_obstacles"))
+      s_.x = start_positions(*garment_, scene, fabric.thickness_m);
     if (is("reset_lays_layers_above_each_other") && scene.ground_height)
       s_.x.col(2) = garment_->positions.col(2).cwiseMax(*scene.ground_height + fabric.thickness_m);
     if (is("reset_forgets")) s_.x.array() += 1e-9 * resets_++;
@@ -173,6 +176,7 @@ class ToySimulator final : public Simulator {
       throw Error("toy: the snapshot is another plugin's or another garment's");
     }
     s_ = snapshot->state;
+    if (is("restored_among_obstacles_is_bit_exact") && !scene_.obstacles.empty()) s_.v *= 0.5;
     if (is("restored_run_is_bit_exact")) s_.loft.assign(s_.loft.size(), false), s_.frame = 0;
     if (is("restores_in_another_object") && snapshot->owner != this) s_.held.clear();
   }
@@ -199,6 +203,7 @@ class ToySimulator final : public Simulator {
     s_.v.row(v) += dt * scene_.gravity.transpose();
     s_.v.row(v) *= std::exp(-fabric_.damping_air_per_s * dt);
     if (scene_.ground_height) land(v, dt);
+    for (const Obstacle& obstacle : scene_.obstacles) touch(obstacle, v, dt);
     s_.x.row(v) += dt * s_.v.row(v);
   }
   /// Changes the velocity such that the vertex ends no lower than contact; the impulse of that bounds friction
@@ -216,6 +221,24 @@ class ToySimulator final : public Simulator {
     if (is("slides_above_the_friction_threshold")) mu *= 2.0;
     const double slide = s_.v.row(v).head<2>().norm();
     if (slide > 0.0) s_.v.row(v).head<2>() *= std::max(0.0, 1.0 - mu * impulse / slide);
+  }
+
+  /// The same against an obstacle.
+  void touch(const Obstacle& obstacle, Index v, double dt) {
+    const ObstacleDistance at = obstacle_distance(obstacle, s_.x.row(v).transpose());
+    const double contact = is("nothing_sinks_into_obstacles") ? 0.5 * fabric_.thickness_m : fabric_.thickness_m;
+    Vec3 velocity = s_.v.row(v).transpose();
+    const double outwards = (contact - at.distance) / dt, approach = at.normal.dot(velocity);
+    if (approach >= outwards) return;
+    const double impulse = outwards - approach;
+    double mu = obstacle.friction.value_or(fabric_.friction);
+    if (is("sticks_to_a_tilted_obstacle")) mu *= 0.5;
+    if (is("slides_on_a_tilted_obstacle")) mu *= 2.0;
+    const Vec3 along = velocity - approach * at.normal;
+    const double slide = along.norm();
+    velocity = outwards * at.normal;
+    if (slide > 0.0) velocity += std::max(0.0, 1.0 - mu * impulse / slide) * along;
+    s_.v.row(v) = velocity.transpose();
   }
 
   Params p_;
