@@ -301,11 +301,15 @@ double Cloth::substep(double dt, double drag, double part) {
     for (std::int32_t i = 0; i < n; ++i) store(state_.v[i], accelerated(i, gain));
   const double floor = this->floor(), mu = fabric().friction;
   const auto stop_at_obstacles = [&](bool entering) {
-    obstacles_->stop(dt, state_.inverse_mass.data(), entering, state_.v.data());
+    return obstacles_->stop(dt, state_.inverse_mass.data(), entering, state_.v.data());
   };
+  const auto stop_layers = [&] {
+    contact_->stop(state_.x.data(), dt, floor, mu, state_.inverse_mass.data(), state_.v.data());
+  };
+  // Layers come last: they must not pass through one another, but may press a vertex into an obstacle for a while.
   if (obstacles_) stop_at_obstacles(true);
-  if (stop) contact_->stop(state_.x.data(), dt, floor, mu, state_.inverse_mass.data(), state_.v.data());
-  if (stop && obstacles_) stop_at_obstacles(false);  // the impulses between layers may press them into a surface
+  if (stop) stop_layers();
+  if (stop && obstacles_ && stop_at_obstacles(false)) stop_layers();
 
   // Ground, then move.
   const __m256d step = _mm256_set1_pd(dt), per_unit = _mm256_set1_pd(1.0 / elements_->unit());

@@ -119,7 +119,7 @@ void ObstacleContact::activate(State& state, const Double4* x, const Double4* v,
       if (contact) add_point(o, p, contact->weight, contact->at, v, dt);
     }
   }
-  set_stiffness(inverse_mass, dt, longest);
+  set_stiffness(state, inverse_mass, dt, longest);
 }
 
 void ObstacleContact::add_point(std::size_t obstacle, const Primitive& p, const double (&weight)[3],
@@ -140,7 +140,7 @@ void ObstacleContact::add_point(std::size_t obstacle, const Primitive& p, const 
 }
 
 /// Gershgorin over the points that share a vertex, as in SelfContact::set_stiffness(); the obstacle does not move.
-void ObstacleContact::set_stiffness(const float* inverse_mass, double dt, double longest) {
+void ObstacleContact::set_stiffness(const State& state, const float* inverse_mass, double dt, double longest) {
   std::fill(load_.begin(), load_.end(), 0.0f);
   for (const Point& p : points_)
     if (p.gap < 0.0)
@@ -150,9 +150,12 @@ void ObstacleContact::set_stiffness(const float* inverse_mass, double dt, double
     for (int k = 0; k < p.corners; ++k)
       worst = std::max(worst, std::max(static_cast<double>(load_[p.v[k]]), kLeastWeight) *
                                   static_cast<double>(inverse_mass[p.v[k]]));
-    const double mass = worst > 0.0 ? 1.0 / worst : 0.0;
-    p.stiffness = spring_ * mass / (longest * longest);
-    p.damping = dashpot_ * mass / dt;
+    // A spring may become softer while it is compressed, never stiffer: it would give back more than it took.
+    const Memory& memory = state.memory[p.memory];
+    p.mass = worst > 0.0 ? 1.0 / worst : 0.0;
+    if (memory.last + 1 == state.substep) p.mass = std::min(p.mass, static_cast<double>(memory.mass));
+    p.stiffness = spring_ * p.mass / (longest * longest);
+    p.damping = dashpot_ * p.mass / dt;
   }
 }
 
@@ -163,11 +166,13 @@ void ObstacleContact::add_forces(State& state, const Double4* v, double dt, Floa
     Eigen::Vector3d slip(memory.slip[0], memory.slip[1], memory.slip[2]);
     if (memory.last + 1 != state.substep) slip.setZero();
     memory.last = state.substep;
+    memory.mass = static_cast<float>(p.mass);
     const Eigen::Vector3d n(p.normal[0], p.normal[1], p.normal[2]);
     Eigen::Vector3d u = Eigen::Vector3d::Zero();
     for (int k = 0; k < p.corners; ++k) u += p.weight[k] * vec(v[p.v[k]]);
     const double approach = n.dot(u);
-    const double normal_force = std::max(0.0, -p.stiffness * p.gap - p.damping * approach);
+    const double depth = std::min(-p.gap, kDeep * thickness_);  // what was pressed in deeper gives back no more
+    const double normal_force = std::max(0.0, p.stiffness * depth - p.damping * approach);
     const Eigen::Vector3d tangential = u - approach * n;
     // Tangential spring with slider; its stretch is kept in the tangent plane as that turns.
     slip -= n.dot(slip) * n;
@@ -188,8 +193,9 @@ void ObstacleContact::add_forces(State& state, const Double4* v, double dt, Floa
   }
 }
 
-void ObstacleContact::stop(double dt, const float* inverse_mass, bool entering, Double4* v) const {
+bool ObstacleContact::stop(double dt, const float* inverse_mass, bool entering, Double4* v) const {
   const double deep = -kDeep * thickness_;
+  bool any = false;
   for (const Point& p : points_) {
     const Eigen::Vector3d n(p.normal[0], p.normal[1], p.normal[2]);
     Eigen::Vector3d u = Eigen::Vector3d::Zero();
@@ -203,6 +209,7 @@ void ObstacleContact::stop(double dt, const float* inverse_mass, bool entering, 
     if (p.gap + dt * approach < deep) wanted = std::max(wanted, std::min(0.0, (deep - p.gap) / dt));
     if (entering && p.gap > 0.0 && p.gap + dt * approach < 0.0) wanted = std::max(wanted, -kEntry);
     if (wanted <= approach || inverse <= 0.0) continue;
+    any = true;
     const double impulse = (wanted - approach) / inverse;
     const Eigen::Vector3d tangential = u - approach * n;
     const double sliding = tangential.norm(), grip = p.friction * (wanted - approach);
@@ -214,6 +221,7 @@ void ObstacleContact::stop(double dt, const float* inverse_mass, bool entering, 
       to.x += s * push.x(), to.y += s * push.y(), to.z += s * push.z();
     }
   }
+  return any;
 }
 
 double ObstacleContact::longest_step(double g) const {

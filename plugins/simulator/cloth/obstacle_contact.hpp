@@ -26,6 +26,7 @@ class ObstacleContact {
   /// The memory of a point. It counts only if the point was in contact in the substep before.
   struct Memory {
     float slip[3] = {0.0f, 0.0f, 0.0f};  ///< m, stretch of the tangential spring
+    float mass = 0.0f;                   ///< kg, least effective mass since contact began; sets the spring
     std::uint32_t last = 0;              ///< substep
   };
   /// The whole changing state; snapshots copy it.
@@ -46,8 +47,8 @@ class ObstacleContact {
   void activate(State& state, const Double4* x, const Double4* v, const float* inverse_mass, double dt, double longest);
   /// Adds the forces of the points in contact.
   void add_forces(State& state, const Double4* v, double dt, Float4* forces);
-  /// Stops what arrives at a surface or has sunk in too deep. @param entering also what arrives.
-  void stop(double dt, const float* inverse_mass, bool entering, Double4* v) const;
+  /// Stops what has sunk in too deep. @param entering also what arrives at a surface. @return whether there was any.
+  bool stop(double dt, const float* inverse_mass, bool entering, Double4* v) const;
   /// Longest substep (s) at which a vertex under acceleration g (m/s^2) sinks in by a small part of the thickness.
   double longest_step(double g) const;
 
@@ -64,7 +65,7 @@ class ObstacleContact {
     double weight[3];
     double normal[3];
     double gap;  ///< m, from the contact distance; negative: in contact
-    double friction, stiffness, damping;
+    double friction, mass, stiffness, damping;
     std::int32_t memory;
   };
   /// What can touch one obstacle within a block.
@@ -75,7 +76,7 @@ class ObstacleContact {
   };
   void add_point(std::size_t obstacle, const Primitive& p, const double (&weight)[3], const ObstacleDistance& at,
                  const Double4* v, double dt);
-  void set_stiffness(const float* inverse_mass, double dt, double longest);
+  void set_stiffness(const State& state, const float* inverse_mass, double dt, double longest);
 
   const Topology* topology_;
   std::vector<Obstacle> obstacles_;
