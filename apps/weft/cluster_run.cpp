@@ -1,7 +1,5 @@
 #include "cluster_run.hpp"
 
-#include <unistd.h>
-
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
@@ -14,6 +12,7 @@
 #include "cluster/job_states.hpp"
 #include "output.hpp"
 #include "processes/worker_process.hpp"
+#include "progress_line.hpp"
 
 namespace weft::app {
 namespace {
@@ -52,34 +51,6 @@ std::vector<std::string> words_of_tasks(const std::vector<std::string>& words, b
   }
   return kept;
 }
-
-/// Prints one line that changes; on a terminal in its place.
-class ProgressLine {
- public:
-  explicit ProgressLine(const Context& context)
-      : context_(context), in_place_(isatty(STDOUT_FILENO) == 1 && !context.quiet && !context.json) {}
-  ~ProgressLine() { end(); }
-  ProgressLine(const ProgressLine&) = delete;
-  ProgressLine& operator=(const ProgressLine&) = delete;
-
-  void show(const std::string& text) {
-    if (text == shown_) return;
-    shown_ = text;
-    if (in_place_)
-      std::cout << "\r\033[K" << text << std::flush;
-    else
-      context_.say(text);
-  }
-  void end() {
-    if (in_place_ && !shown_.empty()) std::cout << std::endl;
-    shown_.clear();
-  }
-
- private:
-  const Context& context_;
-  bool in_place_;
-  std::string shown_;
-};
 
 /// Waits for the next look. @return false if the user asked to stop.
 bool wait_seconds(const Context& context, double seconds) {

@@ -9,6 +9,7 @@
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/held_out.hpp"
+#include "learning_steps.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
 #include "sdk/json_text.hpp"
@@ -81,12 +82,14 @@ void say_rows(const Context& context, const std::vector<CalibrationRow>& rows) {
   }
 }
 
-int calibrate(Context& context, const std::string& file, const std::vector<std::string>& folders,
-              const ClusterOptions& cluster) {
+}  // namespace
+
+int calibrate_model(Context& context, const CalibrateCall& call) {
+  const std::vector<std::string>& folders = call.data;
   const fs::path out = model_file(context, "weft calibrate");
   if (folders.empty()) throw ConfigError("weft calibrate: --data FOLDER is required");
   const ClusterWork work = single_work("calibrate", "calibrate-" + out.stem().string(), out);
-  const Prepared<ExperimentParams> given(context, file, {planned_identity(work.results, work.label)},
+  const Prepared<ExperimentParams> given(context, call.config, {planned_identity(work.results, work.label)},
                                          work.results.string());
   const ConfigNode slot = place(given.config, "predictor");
   const auto predictor = bound_predictor(slot, given.task, *given.host);
@@ -102,8 +105,9 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   const Identity identity = learning_identity(given, "calibrate", folders);
   const fs::path record = fs::path(out).replace_extension(".calibration.json");
   if (fs::exists(out)) require_identity(out.string(), calibration_identity(record), identity, context.accept_changed);
-  if (cluster.is_given())
-    return run_on_cluster(context, cluster, work, [&] { write_planned_identity(work.results, work.label, identity); });
+  if (call.cluster.is_given())
+    return run_on_cluster(context, call.cluster, work,
+                          [&] { write_planned_identity(work.results, work.label, identity); });
   const Dataset dataset = read_datasets(context, folders, given.task);
   const auto trained_on = learner->trained_on();
   if (trained_on.empty()) {
@@ -125,9 +129,12 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
     context.say("calibrating on " + std::to_string(counts[d]) + " of the " + std::to_string(all[d]) + " examples of " +
                 folders[d]);
   }
-  make_writable_folder(out.has_parent_path() ? out.parent_path() : fs::path("."));
+  // Before the model, which belongs to it: a command that is killed between the two goes on.
+  PlacedText placed(record,
+                    ordered_json{{"provenance", ordered_json::parse(given.provenance(identity))}}.dump(2) + "\n");
   const CalibrationReport report =
       learner->calibrate(dataset, examples, given.task, {.seed = given.seed, .model = out});
+  placed.keep();
   say_rows(context, report.rows);
 
   ordered_json json;
@@ -159,21 +166,17 @@ int calibrate(Context& context, const std::string& file, const std::vector<std::
   return 0;
 }
 
-}  // namespace
-
 void register_calibrate(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("calibrate", "Refit a trained predictor's sigma to other examples");
   add_common_options(*command, context);
   add_accept_option(*command, context);
-  auto file = std::make_shared<std::string>();
-  auto data = std::make_shared<std::vector<std::string>>();
-  command->add_option("config", *file, "Experiment file whose predictor.params.model names the model")->required();
-  command->add_option("--data", *data, "Folders of examples; sigma is calibrated for the first one's");
-  auto cluster = std::make_shared<ClusterOptions>();
-  add_cluster_options(*command, *cluster);
-  command->callback([&context, file, data, cluster] {
-    context.action = [&context, file, data, cluster] { return calibrate(context, *file, *data, *cluster); };
-  });
+  auto call = std::make_shared<CalibrateCall>();
+  command->add_option("config", call->config, "Experiment file whose predictor.params.model names the model")
+      ->required();
+  command->add_option("--data", call->data, "Folders of examples; sigma is calibrated for the first one's");
+  add_cluster_options(*command, call->cluster);
+  command->callback(
+      [&context, call] { context.action = [&context, call] { return calibrate_model(context, *call); }; });
 }
 
 }  // namespace weft::app

@@ -5,6 +5,7 @@
 #include "experiments/evaluation_work.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/prediction_evaluation.hpp"
+#include "learning_steps.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
@@ -66,10 +67,32 @@ int say_failures(const Context& context, const Prepared<ExperimentParams>& given
   return result.failures.empty() ? 0 : 1;
 }
 
-int evaluate(Context& context, const std::string& file, std::vector<std::string> folders, const WorkOptions& work) {
-  const auto out = result_folder(context, "evaluate-prediction-" + std::filesystem::path(file).stem().string());
+/// The settled shapes and the baselines, a row each.
+void say_settled(const Context& context, const PredictionEvaluation& result) {
+  char line[200];
+  context.say("settled shape           n   mean mm  median mm     nll  coverage    nse  sigma mm");
+  const auto row = [&](const char* name, const PredictionFigures& f) {
+    std::snprintf(line, sizeof(line), "%-20s %4td  %8.2f  %9.2f  %6.2f  %8.3f  %5.2f  %8.2f", name, f.n, f.mean_mm,
+                  f.median_mm, f.nll, f.coverage_1sigma, f.nse, f.sigma_mm);
+    context.say(line);
+  };
+  row("from start", result.from_start);
+  row("from random segment", result.from_random);
+  row("without knowledge", result.no_knowledge);
+  for (const auto& [name, f] : result.baselines) {
+    std::snprintf(line, sizeof(line), "%-22s %2td  %8.2f  %9.2f", name.c_str(), f.n, f.mean_mm, f.median_mm);
+    context.say(line);
+  }
+}
+
+}  // namespace
+
+int evaluate_predictor(Context& context, const PredictionCall& call, PredictionEvaluation* figures) {
+  const WorkOptions& work = call.work;
+  std::vector<std::string> folders = call.data;
+  const auto out = result_folder(context, "evaluate-prediction-" + std::filesystem::path(call.config).stem().string());
   const ClusterWork on_cluster = single_work("evaluate prediction", "evaluate-prediction", out / "prediction.json");
-  const Prepared<ExperimentParams> given(context, file, {planned_identity(out, on_cluster.label)}, out.string());
+  const Prepared<ExperimentParams> given(context, call.config, {planned_identity(out, on_cluster.label)}, out.string());
   const auto predictor = bound_predictor(place(given.config, "predictor"), given.task, *given.host);
   if (folders.empty() && !given.params.dataset.empty()) folders = {given.params.dataset.string()};
   if (folders.empty())
@@ -101,42 +124,25 @@ int evaluate(Context& context, const std::string& file, std::vector<std::string>
   write_text(out / "prediction.json", json);
   write_prediction_shapes(result, *given.task.garment, out / "cases.h5");
   if (context.json) context.output() << with_times(json, times);
-  char line[200];
-  context.say("settled shape           n   mean mm  median mm     nll  coverage    nse  sigma mm");
-  const auto row = [&](const char* name, const PredictionFigures& f) {
-    std::snprintf(line, sizeof(line), "%-20s %4td  %8.2f  %9.2f  %6.2f  %8.3f  %5.2f  %8.2f", name, f.n, f.mean_mm,
-                  f.median_mm, f.nll, f.coverage_1sigma, f.nse, f.sigma_mm);
-    context.say(line);
-  };
-  row("from start", result.from_start);
-  row("from random segment", result.from_random);
-  row("without knowledge", result.no_knowledge);
-  for (const auto& [name, f] : result.baselines) {
-    std::snprintf(line, sizeof(line), "%-22s %2td  %8.2f  %9.2f", name.c_str(), f.n, f.mean_mm, f.median_mm);
-    context.say(line);
-  }
+  say_settled(context, result);
   say_calibration(context, result);
   const int code = say_failures(context, given, result);
   write_page(context, out);
   context.say("results in " + out.string());
+  if (figures != nullptr) *figures = result;
   return code;
 }
-
-}  // namespace
 
 void register_evaluate_prediction(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("prediction", "Accuracy and calibration of a predictor on held-out examples");
   add_common_options(*command, context);
   add_accept_option(*command, context);
-  auto file = std::make_shared<std::string>();
-  auto data = std::make_shared<std::vector<std::string>>();
-  command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
-  command->add_option("--data", *data, "Folders of examples");
-  auto work = std::make_shared<WorkOptions>();
-  add_process_options(*command, "batch", *work);
-  command->callback([&context, file, data, work] {
-    context.action = [&context, file, data, work] { return evaluate(context, *file, *data, *work); };
-  });
+  auto call = std::make_shared<PredictionCall>();
+  command->add_option("config", call->config, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
+  command->add_option("--data", call->data, "Folders of examples");
+  add_process_options(*command, "batch", call->work);
+  command->callback(
+      [&context, call] { context.action = [&context, call] { return evaluate_predictor(context, *call); }; });
 }
 
 }  // namespace weft::app

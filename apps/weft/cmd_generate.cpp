@@ -7,6 +7,7 @@
 #include "experiments/experiment_config.hpp"
 #include "learning/dataset_files.hpp"
 #include "learning/generate.hpp"
+#include "learning_steps.hpp"
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
@@ -98,16 +99,31 @@ int say_made(const Context& context, const GenerateReport& report, const Generat
   return report.acceptable() ? 0 : 1;
 }
 
-int generate(Context& context, const std::string& file, std::int64_t examples, const std::string& shard,
-             const WorkOptions& work) {
+/// Prints what was made so far, and how long the rest takes.
+GenerateProgress progress_lines(const Context& context) {
+  return [&context](const GenerateReport& report, std::int64_t total) {
+    const double rate = static_cast<double>(report.made) / std::max(1e-9, report.seconds);
+    char line[160];
+    std::snprintf(line, sizeof(line), "%6lld of %lld  %.2f examples/s  %.0f s to go  %lld failed",
+                  static_cast<long long>(report.made), static_cast<long long>(total), rate,
+                  static_cast<double>(total - report.made) / std::max(1e-9, rate),
+                  static_cast<long long>(report.failed()));
+    context.say(line);
+  };
+}
+
+}  // namespace
+
+int make_examples(Context& context, const GenerateCall& call, GenerateReport* made) {
+  const WorkOptions& work = call.work;
   GenerateOptions options;
-  options.examples = examples;
-  if (!shard.empty()) parse_shard(shard, options);
+  options.examples = call.examples;
+  if (!call.shard.empty()) parse_shard(call.shard, options);
   if (context.out.empty()) throw ConfigError("weft generate: --out FOLDER is required");
   options.folder = result_folder(context, "");
   auto recorded = recorded_in(options.folder);
   recorded.push_back(planned_identity(options.folder, kLabel));
-  const Prepared<ExperimentParams> given(context, file, recorded, options.folder.string());
+  const Prepared<ExperimentParams> given(context, call.config, recorded, options.folder.string());
   check_simulator(given.task.simulator, given.task, *given.host);
   const auto params = describe_params<ExperimentParams>();
   const ConfigNode saved =
@@ -125,7 +141,7 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
     write_text(config, header.config);
   };
   if (work.cluster.is_given()) {
-    if (!shard.empty()) throw ConfigError("--shard: the tasks of --on share all files; leave it out");
+    if (!call.shard.empty()) throw ConfigError("--shard: the tasks of --on share all files; leave it out");
     return run_on_cluster(context, work.cluster, files_work(options, given.params.data), [&] {
       begin();
       write_planned_identity(options.folder, kLabel, identity);
@@ -133,18 +149,9 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   }
   if (!work.share || !std::filesystem::exists(options.folder / "config.yaml")) begin();
 
-  context.say("making " + std::to_string(examples) + " examples of " + given.task.garment->name + " (" +
+  context.say("making " + std::to_string(call.examples) + " examples of " + given.task.garment->name + " (" +
               std::to_string(given.task.garment->vertex_count()) + " vertices), seed " + std::to_string(given.seed) +
               ", " + std::to_string(given.host->threads()) + " threads");
-  const auto progress = [&](const GenerateReport& report, std::int64_t total) {
-    const double rate = static_cast<double>(report.made) / std::max(1e-9, report.seconds);
-    char line[160];
-    std::snprintf(line, sizeof(line), "%6lld of %lld  %.2f examples/s  %.0f s to go  %lld failed",
-                  static_cast<long long>(report.made), static_cast<long long>(total), rate,
-                  static_cast<double>(total - report.made) / std::max(1e-9, rate),
-                  static_cast<long long>(report.failed()));
-    context.say(line);
-  };
   options.worker = work.worker();
   options.request = example_requests(given);
   options.retry = work.retry();
@@ -154,31 +161,25 @@ int generate(Context& context, const std::string& file, std::int64_t examples, c
   options.failed = [&](std::int64_t index, const WorkFailure& failure) {
     context.complain("example " + std::to_string(index) + " " + to_string(failure.status) + ": " + failure.message);
   };
-  const GenerateReport report = generate_dataset(given.task, given.params.data, header, options, *given.host, progress);
+  const GenerateReport report = generate_dataset(given.task, given.params.data, header, options, *given.host,
+                                                 call.progress ? call.progress : progress_lines(context));
+  if (made != nullptr) *made = report;
   return say_made(context, report, options, given.host->threads(), header.identity);
 }
-
-}  // namespace
 
 void register_generate(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("generate", "Simulate manipulation examples of random controls and materials");
   add_common_options(*command, context);
   add_accept_option(*command, context);
-  auto file = std::make_shared<std::string>();
-  auto examples = std::make_shared<std::int64_t>(0);
-  auto shard = std::make_shared<std::string>();
-  command->add_option("config", *file, "Experiment or task file, such as configs/experiments/tshirt.yaml")->required();
-  command->add_option("--examples", *examples, "Number of examples; a larger one later adds to the folder")
+  auto call = std::make_shared<GenerateCall>();
+  command->add_option("config", call->config, "Experiment or task file, such as configs/experiments/tshirt.yaml")
+      ->required();
+  command->add_option("--examples", call->examples, "Number of examples; a larger one later adds to the folder")
       ->required()
       ->check(within(std::int64_t{1}, std::int64_t{1000000000}));
-  command->add_option("--shard", *shard, "i/n: make only the i-th of n parts, for many machines");
-  auto work = std::make_shared<WorkOptions>();
-  add_work_options(*command, "example", *work);
-  command->callback([&context, file, examples, shard, work] {
-    context.action = [&context, file, examples, shard, work] {
-      return generate(context, *file, *examples, *shard, *work);
-    };
-  });
+  command->add_option("--shard", call->shard, "i/n: make only the i-th of n parts, for many machines");
+  add_work_options(*command, "example", call->work);
+  command->callback([&context, call] { context.action = [&context, call] { return make_examples(context, *call); }; });
 }
 
 }  // namespace weft::app

@@ -1,19 +1,18 @@
 #include <algorithm>
 #include <cstdio>
-#include <fstream>
 #include <iostream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 
 #include "cluster_run.hpp"
 #include "commands.hpp"
 #include "experiments/experiment_config.hpp"
+#include "learning_steps.hpp"
 #include "options.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "progress_line.hpp"
 #include "ranks.hpp"
 #include "report/times.hpp"
-#include "sdk/files.hpp"
 #include "weft/trainable.hpp"
 
 namespace weft::app {
@@ -21,50 +20,6 @@ namespace {
 
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
-
-/// A text that is written at once, in a folder that is made if needed, and taken back unless keep() is called: a command
-/// that is refused later leaves the disk as it was.
-class PlacedText {
- public:
-  PlacedText(fs::path file, const std::string& text) : file_(std::move(file)) {
-    const fs::path folder = file_.has_parent_path() ? file_.parent_path() : fs::path(".");
-    has_new_folder_ = !fs::exists(folder);
-    make_writable_folder(folder);
-    if (std::ifstream stream(file_, std::ios::binary); stream) earlier_ = {std::istreambuf_iterator<char>(stream), {}};
-    write_text(file_, text);
-  }
-  ~PlacedText() {
-    if (is_kept_) return;
-    std::error_code ignored;
-    try {
-      if (earlier_.empty())
-        fs::remove(file_, ignored);
-      else
-        write_text(file_, earlier_);
-    } catch (const Error&) {  // the error that led here is the one to report
-    }
-    if (has_new_folder_) fs::remove(file_.parent_path(), ignored);  // fails unless it is empty
-  }
-  PlacedText(const PlacedText&) = delete;
-  PlacedText& operator=(const PlacedText&) = delete;
-  void keep() { is_kept_ = true; }
-
- private:
-  fs::path file_;
-  std::string earlier_;
-  bool is_kept_ = false, has_new_folder_ = false;
-};
-
-std::string duration(double seconds) {
-  char text[40];
-  const auto s = static_cast<long>(std::max(0.0, seconds));
-  if (s < 3600) {
-    std::snprintf(text, sizeof(text), "%ld:%02ld", s / 60, s % 60);
-  } else {
-    std::snprintf(text, sizeof(text), "%ld:%02ld:%02ld", s / 3600, s / 60 % 60, s % 60);
-  }
-  return text;
-}
 
 /// The arguments with which each of several ranks on this machine does what this process was asked to do.
 std::vector<std::string> arguments_of_rank(const Context& context, const std::string& file,
@@ -91,8 +46,24 @@ ordered_json write_fit_report(const Prepared<ExperimentParams>& given, const Fit
   return seconds;
 }
 
-int train(Context& context, const std::string& file, std::vector<std::string> folders, const ClusterOptions& cluster,
-          int wanted_ranks) {
+/// Prints how far the fit is.
+FitObserver fit_lines(const Context& context) {
+  return [&context](const FitProgress& p) {
+    char line[240];
+    std::snprintf(line, sizeof(line),
+                  "%7lld of %lld  train %8.4f  validation %8.4f (best %8.4f)  %5.1f mm  rate %.1e  %s to go",
+                  static_cast<long long>(p.iteration), static_cast<long long>(p.iterations), p.training_loss,
+                  p.validation_loss, p.best_loss, p.validation_error_mm, p.rate, duration_text(p.seconds_left).c_str());
+    context.say(line);
+    return true;
+  };
+}
+
+}  // namespace
+
+int train_model(Context& context, const TrainCall& call) {
+  const int wanted_ranks = call.ranks;
+  std::vector<std::string> folders = call.data;
   const fs::path model = model_file(context, "weft train");
   const FitRanks ranks = ranks_of_process(model);
   if (wanted_ranks > 1 && ranks.size > 1 && wanted_ranks != ranks.size) {
@@ -106,7 +77,7 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   const Identity earlier = is_used ? read_identity(record) : Identity();
   ClusterWork work = single_work("train", "train-" + model.stem().string(), model);
   work.has_ranks = true;
-  const Prepared<ExperimentParams> given(context, file, {earlier, planned_identity(work.results, work.label)},
+  const Prepared<ExperimentParams> given(context, call.config, {earlier, planned_identity(work.results, work.label)},
                                          record.string());
   if (given.params.predictor.is_null())
     given.config.fail("predictor is missing; name one that learns, such as {plugin: emd}");
@@ -120,10 +91,10 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   const TrainingCapabilities can = learner->training_capabilities();
   if ((wanted_ranks > 1 || ranks.size > 1) && !can.ranks)
     given.config.fail("predictor cannot be trained over ranks; start one process, or name {plugin: emd}");
-  if (wanted_ranks > 1 && ranks.size == 1 && !cluster.is_given()) {
-    return run_ranks(context,
-                     arguments_of_rank(context, file, folders, std::max(1, given.host->threads() / wanted_ranks)),
-                     wanted_ranks, [&] { return given.host->cancelled(); });
+  if (wanted_ranks > 1 && ranks.size == 1 && !call.cluster.is_given()) {
+    return run_ranks(
+        context, arguments_of_rank(context, call.config, folders, std::max(1, given.host->threads() / wanted_ranks)),
+        wanted_ranks, [&] { return given.host->cancelled(); });
   }
 
   const Identity identity = learning_identity(given, "train", folders);
@@ -135,8 +106,9 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   options.accept_changed = context.accept_changed;
   options.ranks = ranks;
   if (is_used) require_identity(model.string(), earlier, identity, context.accept_changed);
-  if (cluster.is_given())
-    return run_on_cluster(context, cluster, work, [&] { write_planned_identity(work.results, work.label, identity); });
+  if (call.cluster.is_given())
+    return run_on_cluster(context, call.cluster, work,
+                          [&] { write_planned_identity(work.results, work.label, identity); });
   const Dataset dataset =
       read_datasets(context, folders, given.task, can.stored_shapes ? ShapesIn::files : ShapesIn::memory);
   if (ranks.rank > 0) return learner->fit(dataset, given.task, options, {}).finished ? 0 : 1;
@@ -150,17 +122,9 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
                 fs::exists(options.checkpoint) ? ", from the checkpoint" : "");
   context.say(line);
   PlacedText placed(record, options.provenance);  // before the first checkpoint, which belongs to it
-  const auto progress = [&](const FitProgress& p) {
-    std::snprintf(line, sizeof(line),
-                  "%7lld of %lld  train %8.4f  validation %8.4f (best %8.4f)  %5.1f mm  rate %.1e  %s to go",
-                  static_cast<long long>(p.iteration), static_cast<long long>(p.iterations), p.training_loss,
-                  p.validation_loss, p.best_loss, p.validation_error_mm, p.rate, duration(p.seconds_left).c_str());
-    context.say(line);
-    return true;
-  };
   FitReport report;
   try {
-    report = learner->fit(dataset, given.task, options, progress);
+    report = learner->fit(dataset, given.task, options, call.progress ? call.progress : fit_lines(context));
     placed.keep();
   } catch (...) {
     if (!is_used && (fs::exists(model) || fs::exists(checkpoint))) placed.keep();  // a fit that began, and failed
@@ -170,31 +134,24 @@ int train(Context& context, const std::string& file, std::vector<std::string> fo
   if (context.json) context.output() << with_times(report.json, seconds.dump());
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
                 report.finished ? "done" : "stopped; run the same command again to continue",
-                static_cast<long long>(report.iterations), duration(report.seconds).c_str(), model.c_str());
+                static_cast<long long>(report.iterations), duration_text(report.seconds).c_str(), model.c_str());
   context.say(line);
   return report.finished ? 0 : 1;
 }
-
-}  // namespace
 
 void register_train(CLI::App& app, Context& context) {
   CLI::App* command = app.add_subcommand("train", "Fit a predictor to the examples of `weft generate`");
   add_common_options(*command, context);
   add_accept_option(*command, context);
-  auto file = std::make_shared<std::string>();
-  auto data = std::make_shared<std::vector<std::string>>();
-  command->add_option("config", *file, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
-  command->add_option("--data", *data, "Folders of examples");
-  auto cluster = std::make_shared<ClusterOptions>();
-  add_cluster_options(*command, *cluster);
-  auto ranks = std::make_shared<int>(1);
+  auto call = std::make_shared<TrainCall>();
+  command->add_option("config", call->config, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
+  command->add_option("--data", call->data, "Folders of examples");
+  add_cluster_options(*command, call->cluster);
   command
-      ->add_option("--ranks", *ranks,
+      ->add_option("--ranks", call->ranks,
                    "Processes on this machine that share each batch; under mpirun or srun their number is known")
       ->check(within(1, 256));
-  command->callback([&context, file, data, cluster, ranks] {
-    context.action = [&context, file, data, cluster, ranks] { return train(context, *file, *data, *cluster, *ranks); };
-  });
+  command->callback([&context, call] { context.action = [&context, call] { return train_model(context, *call); }; });
 }
 
 }  // namespace weft::app

@@ -62,7 +62,7 @@ std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugin
   options.cancel = &interrupted;
   options.checks = checks;
   options.log = [this](LogLevel level, const std::string& message) {
-    if (level == LogLevel::debug || (level == LogLevel::info && (quiet || json))) return;
+    if (level == LogLevel::debug || (level == LogLevel::info && (quiet || json || is_step))) return;
     const char* prefix = level == LogLevel::warning ? "warning: " : level == LogLevel::error ? "error: " : "";
     std::fprintf(level == LogLevel::info ? stdout : stderr, "%s%s\n", prefix, message.c_str());
     std::fflush(level == LogLevel::info ? stdout : stderr);
@@ -82,7 +82,7 @@ bool Context::is_terminated() { return terminated; }
 const std::atomic<bool>* Context::cancel_flag() const { return &interrupted; }
 
 void Context::say(const std::string& line) const {
-  if (!quiet && !json) std::cout << line << std::endl;
+  if (!quiet && !json && !is_step) std::cout << line << std::endl;
 }
 
 void Context::keep_output() {

@@ -25,6 +25,7 @@ struct Context {
   bool accept_changed = false;         ///< --accept-changed
   bool quiet = false;
   bool json = false;
+  bool is_step = false;            ///< of a command that speaks for it: only warnings and complaints are printed
   std::vector<std::string> words;  ///< of the command line, without the program
   std::function<int()> action;
 
@@ -39,7 +40,7 @@ struct Context {
   static void catch_signals();
   /// Whether SIGTERM asked to stop.
   static bool is_terminated();
-  /// Prints a line for people; nothing with --quiet or --json.
+  /// Prints a line for people; nothing with --quiet or --json, or as a step.
   void say(const std::string& line) const;
   /// Keeps stdout for what is written to output(); what plugins print there goes to stderr from now on.
   static void keep_output();

@@ -31,6 +31,11 @@ std::string shipped_text(const fs::path& file) {
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 
+std::string text_of_file(const fs::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
 fs::path result_folder(const Context& context, const std::string& name) {
   const fs::path folder = context.out.empty() ? fs::path("results") / name : fs::path(context.out);
   if (fs::exists(folder) && !fs::is_directory(folder))
@@ -62,6 +67,27 @@ PlacedFolder::~PlacedFolder() {
   std::error_code not_empty;
   for (const auto& folder : made_)
     if (!fs::remove(folder, not_empty)) return;
+}
+
+PlacedText::PlacedText(fs::path file, const std::string& text) : file_(std::move(file)) {
+  const fs::path folder = file_.has_parent_path() ? file_.parent_path() : fs::path(".");
+  has_new_folder_ = !fs::exists(folder);
+  make_writable_folder(folder);
+  earlier_ = text_of_file(file_);
+  write_text(file_, text);
+}
+
+PlacedText::~PlacedText() {
+  if (is_kept_) return;
+  std::error_code ignored;
+  try {
+    if (earlier_.empty())
+      fs::remove(file_, ignored);
+    else
+      write_text(file_, earlier_);
+  } catch (const Error&) {  // the error that led here is the one to report
+  }
+  if (has_new_folder_) fs::remove(file_.parent_path(), ignored);  // fails unless it is empty
 }
 
 std::string provenance_json(const PluginRegistry& registry, std::uint64_t seed, const Identity& identity) {

@@ -34,10 +34,29 @@ class PlacedFolder {
   std::vector<std::filesystem::path> made_;  ///< the innermost first
 };
 
+/// A text that is written at once, in a folder that is made if needed, and taken back unless keep() is called: a command
+/// that is refused later leaves the disk as it was.
+class PlacedText {
+ public:
+  PlacedText(std::filesystem::path file, const std::string& text);
+  ~PlacedText();
+  PlacedText(const PlacedText&) = delete;
+  PlacedText& operator=(const PlacedText&) = delete;
+  void keep() { is_kept_ = true; }
+
+ private:
+  std::filesystem::path file_;
+  std::string earlier_;
+  bool is_kept_ = false, has_new_folder_ = false;
+};
+
 /// The installation or build tree that this program belongs to: it lies in <prefix>/bin.
 std::filesystem::path tree_of_weft();
 /// A text file of that tree. @param file from share/weft. @throws Error if it cannot be read.
 std::string shipped_text(const std::filesystem::path& file);
+
+/// A whole file; empty if it cannot be read.
+std::string text_of_file(const std::filesystem::path& file);
 
 /// session.h5 of the path that a user gives: the file, or the folder of a run. @throws ConfigError when there is none.
 std::filesystem::path session_file(const std::string& given);

@@ -40,8 +40,8 @@ FAULTS = (
     Fault("rename EIO", "rename", errno.EIO),
     Fault("create EACCES", "create", errno.EACCES),
 )
-# What a command that goes on later leaves when it fails: half a fit, and what that belongs to.
-UNFINISHED = ("model.checkpoint.h5", "model.provenance.json", "model.h5")
+# What a command that goes on later leaves when it fails: half a fit or a calibrated model, and what that belongs to.
+UNFINISHED = ("model.checkpoint.h5", "model.provenance.json", "model.h5", "model.calibration.json")
 
 
 def environment(shim, fault, number, folder):
@@ -84,7 +84,7 @@ def one(kit, work, fault, number, shim):
             wrong.append(f"ended with {end.code}: {end.errors}")
         elif os.strerror(fault.error) not in end.errors or "out" not in end.errors:
             wrong.append(f"did not say where and why: {end.errors}")
-        wrong += half_written(right, folder, work.name == "train")
+        wrong += half_written(right, folder, work.name in ("train", "calibrate"))
         again = kit.start(work.arguments, folder).finish()
         if again.code != 0:
             wrong.append(f"ended with {again.code} when it was run again: {again.errors}")
@@ -102,7 +102,7 @@ def main():
     shim = os.path.abspath(options.shim)
     count = 0
     with Kit(options.weft, options.only) as kit:
-        for work in kit.works:
+        for work in kit.single_works:
             for fault in FAULTS:
                 injected = failed = bad = 0
                 for number in range(1, options.most + 1, options.every):
