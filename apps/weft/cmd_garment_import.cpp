@@ -225,6 +225,7 @@ int run_import(Context& context, ImportRequest request) {
   context.say(foldable
                   ? "to fold it: weft run " + (folder / (name + "_fold.yaml")).string()
                   : "it stands as it was drawn; to lay it: weft garment lay " + (folder / (name + ".yaml")).string());
+  if (foldable) context.say("to learn a network for it: weft learn " + folder.string());
   return 0;
 }
 

@@ -14,6 +14,7 @@ void register_generate(CLI::App& app, Context& context);
 void register_dataset(CLI::App& app, Context& context);
 void register_train(CLI::App& app, Context& context);
 void register_calibrate(CLI::App& app, Context& context);
+void register_learn(CLI::App& app, Context& context);
 void register_evaluate(CLI::App& app, Context& context);
 void register_ablate(CLI::App& app, Context& context);
 void register_status(CLI::App& app, Context& context);

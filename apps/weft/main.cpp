@@ -59,6 +59,7 @@ int main(int argc, char** argv) {
   register_dataset(app, context);
   register_train(app, context);
   register_calibrate(app, context);
+  register_learn(app, context);
   register_evaluate(app, context);
   register_ablate(app, context);
   register_status(app, context);

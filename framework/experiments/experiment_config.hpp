@@ -1,5 +1,6 @@
 #pragma once
 #include "experiments/prediction_evaluation.hpp"
+#include "learning/budget.hpp"
 #include "learning/generate.hpp"
 #include "session/session.hpp"
 
@@ -11,6 +12,7 @@ struct ExperimentParams : SessionParams {
   DataParams data;
   std::filesystem::path dataset;
   PredictionEvaluationParams evaluation;
+  LearnParams learn;
 
   template <class Visitor>
   void visit(Visitor& v) {
@@ -18,6 +20,7 @@ struct ExperimentParams : SessionParams {
     v.group("data", data, "The distribution of the examples.", Decides::examples);
     v("dataset", dataset, "Folder of the examples, for commands that read them.");
     v.group("evaluation", evaluation, "Settings of `weft evaluate prediction`.");
+    v.group("learn", learn, "Numbers of `weft learn`.", Decides::nothing);
   }
 };
 

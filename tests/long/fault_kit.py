@@ -37,6 +37,7 @@ seeds: {{first: 1, count: {seeds}}}
 
 EXPERIMENT = f"""extends: {ROOT}/configs/experiments/towel_small.yaml
 data: {{shard_examples: 8}}
+learn: {{examples: 24, calibration_examples: 16, held_out_examples: 16}}
 predictor: {{params: {{training: {{iterations: 60, warmup: 5, evaluate_every: 10, checkpoint_every: 10}}}}}}
 planning: {{instances: 2, iterations: 2, replan_iterations: 1}}
 estimation: {{instances: 2, iterations: 2, later_iterations: 1}}
@@ -71,6 +72,7 @@ WORKS = (
     Work("prediction", "evaluate prediction {inputs}/experiment.yaml --set predictor.params.model={inputs}/model.h5"
                        " --data {inputs}/data --out out"),
     Work("physics", "evaluate physics {inputs}/physics.yaml --out out"),
+    Work("learn", "learn {inputs}/experiment.yaml --out out"),
 )
 JOBS = 2
 
@@ -94,10 +96,12 @@ class Kit:
         with_torch = self._must("train", "{inputs}/experiment.yaml --data {inputs}/data --out {inputs}/model.h5",
                                 may_lack="made without libtorch")
         if not with_torch:
-            without = [work for work in self.works if "{inputs}/model.h5" not in work.arguments and work.name != "train"]
+            without = [work for work in self.works if "{inputs}/model.h5" not in work.arguments and work.name not in ("train", "learn")]
             print("made without libtorch, so left out: "
                   + " ".join(work.name for work in self.works if work not in without), flush=True)
             self.works = without
+        # Each step of learn is another of these commands.
+        self.single_works = [work for work in self.works if work.name != "learn"]
         self._right = {}
 
     def __enter__(self):

@@ -78,14 +78,14 @@ def clock(kit, _, problems):
                                     check=True).stdout) // (DAY // 2) for _ in range(20) if not jumping._end.wait(0.03)}
         if len(shown) < 2:
             problems.append("clock: it does not jump")
-        for work in kit.works:
+        for work in kit.single_works:
             compare(kit, work, "clock", problems, environment=jumping.environment)
         jumps = jumping.jumps
     return f"{jumps} jumps"
 
 
 def one_processor(kit, _, problems):
-    for work in kit.works:
+    for work in kit.single_works:
         compare(kit, work, "one processor", problems, before=("taskset", "-c", str(min(os.sched_getaffinity(0)))),
                 options=("--quiet",))
     return ""
@@ -101,7 +101,7 @@ def comma(kit, build, problems):
     half = subprocess.run(["printf", "%.1f", "0,5"], env={**CLEAN, **environment}, capture_output=True, text=True, check=False)
     if half.stdout != "0,5":
         problems.append(f"comma: the locale has none: {half.stdout} {half.stderr}")
-    for work in kit.works:
+    for work in kit.single_works:
         compare(kit, work, "comma", problems, environment=environment)
     return ""
 
@@ -117,7 +117,7 @@ def ordinary_user(kit, build, problems):
     shutil.chown(home, "nobody")
     user = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--no-new-privs")
     here, kit.weft = kit.weft, str(prefix / "bin/weft")
-    for work in kit.works:
+    for work in kit.single_works:
         compare(kit, work, "ordinary user", problems, before=user, environment={"HOME": str(home)})
     refused = kit.start(kit.works[0].arguments, kit.inputs, before=user).finish()
     if refused.code == 0 or "Permission denied" not in refused.errors:

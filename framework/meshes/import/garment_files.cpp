@@ -109,10 +109,11 @@ std::string task_text(const std::string& name, const std::vector<std::string>& g
 }
 
 std::string experiment_text(const std::string& name) {
-  return "# Learn to fold " + name + ":\n" + "#   weft generate " + name +
-         "_experiment.yaml --examples 1024 --out data/" + name + "\n" + "#   weft train " + name +
-         "_experiment.yaml --data data/" + name + " --out " + name + ".h5\n" + "extends: " + name + "_fold.yaml\n" +
-         "predictor: {plugin: emd}\n";
+  return "# Learn to fold " + name + ", and fold it with the network (docs/my-garment.md):\n" + "#   weft learn " +
+         name + "_experiment.yaml --out learned\n" + "#   weft run learned/task.yaml\n" + "extends: " + name +
+         "_fold.yaml\n" + "predictor: {plugin: emd}\n" +
+         "planning: {instances: 16, iterations: 80, replan_iterations: 30}  # a network is fast\n" +
+         "correction: {simulations: 8, max_width: 0.2}  # the simulator corrects its plans\n";
 }
 
 }  // namespace weft
