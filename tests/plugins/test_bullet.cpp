@@ -269,5 +269,37 @@ TEST(BulletFriction, ThresholdIsTanAlphaEqualsMuWithinFivePercent) {
     }
 }
 
+// The cube is smaller than the towel's faces: vertices alone would let it fall through.
+TEST(BulletOnObstacles, EdgesAndFacesKeepOffACube) {
+  const auto towel = std::make_shared<const Garment>(shipped("towel_coarse.obj"));
+  Scene scene;
+  scene.ground_height = -0.2;
+  Obstacle cube;
+  cube.kind = Obstacle::Kind::box;
+  cube.name = "box";
+  cube.centre = {0.01, 0.2, -0.05};
+  cube.half_size = {0.05, 0.05, 0.05};
+  cube.rounding = 0.005;
+  scene.obstacles = {cube};
+  const Fabric fabric = knit();
+  const auto sim = test_host()->create<Simulator>(slot());
+  sim->reset(towel, fabric, scene);
+  double least = 1.0;
+  for (int k = 0; k < 40; ++k) {
+    sim->step(Positions(0, 3));
+    const Positions& x = sim->positions();
+    for (Index f = 0; f < towel->face_count(); ++f) {
+      const auto corner = [&](int c) { return Vec3(x.row(towel->faces(f, c)).transpose()); };
+      for (int i = 0; i <= 4; ++i)
+        for (int j = 0; i + j <= 4; ++j)
+          least = std::min(
+              least,
+              obstacle_distance(cube, 0.25 * (i * corner(0) + j * corner(1) + (4 - i - j) * corner(2))).distance);
+    }
+  }
+  EXPECT_GT(least, 0.5 * fabric.thickness_m);
+  EXPECT_LT(sim->positions().col(2).minCoeff(), -0.05);
+}
+
 }  // namespace
 }  // namespace weft
