@@ -22,6 +22,7 @@ using nlohmann::ordered_json;
 constexpr const char* kLearnSchema = "weft learn 1";
 constexpr const char* kIterations = "training.iterations";  // a predictor's parameters
 constexpr const char* kEvaluateEvery = "training.evaluate_every";
+constexpr const char* kWarmup = "training.warmup";
 constexpr const char* kModel = "model";
 constexpr double kReserve = 0.05;       // of --hours
 constexpr double kTrialFitSeconds = 5;  // the fit of the trial, at least
@@ -215,11 +216,13 @@ void Learning::plan() {
     const double left = (1.0 - kReserve) * (3600.0 * call_.hours - spent);
     numbers_ = numbers_for(std::max(1.0, left), rates_, trial_examples());
     saved = saved.with(iterations, ConfigNode::integer(numbers_.iterations));
-    // A short fit is evaluated often enough to choose its best model, unless the task says how often.
-    const std::string every = std::string("predictor.params.") + kEvaluateEvery;
-    if (const ConfigNode node = place(saved, every); !node.is_null() && place(given_->config, every).is_null()) {
-      const std::int64_t often = std::max<std::int64_t>(50, numbers_.iterations / 10);
-      saved = saved.with(every, ConfigNode::integer(std::min(node.as_int(), often)));
+    // A short fit warms up shortly, and is evaluated often enough to choose its best model, unless the task says otherwise.
+    for (const auto& [name, least] : {std::pair{kEvaluateEvery, 50}, std::pair{kWarmup, 1}}) {
+      const std::string key = std::string("predictor.params.") + name;
+      const ConfigNode node = place(saved, key);
+      if (node.is_null() || !place(given_->config, key).is_null()) continue;
+      const std::int64_t tenth = std::max<std::int64_t>(least, numbers_.iterations / 10);
+      saved = saved.with(key, ConfigNode::integer(std::min(node.as_int(), tenth)));
     }
   }
   const LearnParams& n = numbers_.examples;

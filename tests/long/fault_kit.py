@@ -96,7 +96,8 @@ class Kit:
         with_torch = self._must("train", "{inputs}/experiment.yaml --data {inputs}/data --out {inputs}/model.h5",
                                 may_lack="made without libtorch")
         if not with_torch:
-            without = [work for work in self.works if "{inputs}/model.h5" not in work.arguments and work.name not in ("train", "learn")]
+            without = [work for work in self.works
+                       if "{inputs}/model.h5" not in work.arguments and work.name not in ("train", "learn")]
             print("made without libtorch, so left out: "
                   + " ".join(work.name for work in self.works if work not in without), flush=True)
             self.works = without

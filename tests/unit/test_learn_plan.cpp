@@ -105,6 +105,10 @@ TEST(LearnShortfalls, AnErrorAboveTheTargetIsSaid) {
   GoodModel model;
   model.held_out.from_start.median_mm = 5.1;
   EXPECT_THAT(model.shortfalls(), ElementsAre(HasSubstr("off by 5.1 mm in the median")));
+  const auto remedy = [&] { return find_shortfalls({1000, 0, model.curve, model.held_out}).at(0).remedy; };
+  EXPECT_THAT(remedy(), HasSubstr("more iterations: the losses of training and validation are close"));
+  for (auto& point : model.curve) point.training_loss -= 0.2;
+  EXPECT_EQ(remedy(), "more examples and iterations");
   model.held_out.from_start.n = 0;
   EXPECT_THAT(model.shortfalls(), ElementsAre(HasSubstr("no held-out example was released")));
 }
