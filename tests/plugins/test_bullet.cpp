@@ -10,6 +10,7 @@
 #include "simulation/task_config.hpp"
 #include "simulator/bullet/contact.cpp"
 #include "simulator/bullet/links.cpp"
+#include "simulator/bullet/obstacles.cpp"
 #include "weft/random.hpp"
 
 namespace weft {
@@ -122,7 +123,8 @@ TEST(BulletContact, WhatItRemembersChangesNothing) {
   // One half of the towel comes down on the other, trembling; with and without knowledge of the substeps before.
   const Garment towel = shipped("towel.obj");
   const auto n = static_cast<std::size_t>(towel.vertex_count());
-  bullet::SelfContact remembers(towel, 0.004, 0.3, true), forgets(towel, 0.004, 0.3, true);
+  const bullet::ObstacleContact nothing(towel, {}, 0.004, 0.3);
+  bullet::SelfContact remembers(towel, 0.004, 0.3, true, nothing), forgets(towel, 0.004, 0.3, true, nothing);
   const double middle = 0.5 * (towel.positions.col(0).minCoeff() + towel.positions.col(0).maxCoeff());
   RandomStream random(7);
   const auto shape = [&](double angle) {
