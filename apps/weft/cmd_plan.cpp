@@ -81,7 +81,7 @@ int run_alone(Context& context, const Options& options, const std::string& name,
                {"segment", std::to_string(options.segment)}};
   } else {
     check_simulator(given.task.simulator, given.task, *given.host);
-    check_world(given.params.world, given.task, *given.host);  // which makes the fresh session
+    check_world(given.params.world, given.task, given.config, *given.host);  // which makes the fresh session
   }
   const auto stem = std::filesystem::path(options.config).stem().string();
   const auto folder = result_folder(context, name + "-" + stem + "-seed" + std::to_string(given.seed));

@@ -57,7 +57,7 @@ EvaluationRun::EvaluationRun(Context& context, const EvaluationOptions& options,
                                      params.estimation, params.correction.simulator, host);
   }
   check_simulator(task.simulator, task, host);
-  check_world(params.world, task, host);
+  check_world(params.world, task, given.config, host);
 }
 
 void EvaluationRun::identify(EvaluationColumn& column, const std::filesystem::path& data) const {

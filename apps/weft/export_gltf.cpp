@@ -175,9 +175,8 @@ void export_gltf(const std::filesystem::path& file, const SessionRecord& session
   std::vector<int> nodes{cloth, goal};
   for (std::size_t k = 0; k < session.obstacles.size(); ++k) {
     const Mesh body = session.drawn_obstacle(k);
-    const std::string name = "obstacle_" + std::to_string(k) + "_" + session.obstacles[k].name;
-    nodes.push_back(add_mesh(model, out, name, body.positions, body.faces, out.add(body.faces), -1,
-                             add_material(model, name, {0.45, 0.42, 0.38, 1.0})));
+    nodes.push_back(add_mesh(model, out, body.source, body.positions, body.faces, out.add(body.faces), -1,
+                             add_material(model, body.source, {0.45, 0.42, 0.38, 1.0})));
   }
   add_targets(model.meshes[0], out, session, timeline);
   if (timeline.frames.size() > 1) add_animation(model, out, timeline, cloth);

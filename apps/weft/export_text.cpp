@@ -111,8 +111,7 @@ void export_usd(const fs::path& file, const SessionRecord& session, const Timeli
   for (std::size_t k = 0; k < session.obstacles.size(); ++k) {
     const Mesh obstacle = session.drawn_obstacle(k);
     out.text("\n");
-    print_mesh("obstacle_" + std::to_string(k) + "_" + session.obstacles[k].name, obstacle.faces, false,
-               {0.45, 0.42, 0.38}, 1.0);
+    print_mesh(obstacle.source, obstacle.faces, false, {0.45, 0.42, 0.38}, 1.0);
     out.text("        point3f[] points = ");
     print_points(out, obstacle.positions);
     out.text("\n    }\n");
@@ -131,9 +130,10 @@ void export_obj(const fs::path& folder, const SessionRecord& session, const Time
   Mesh goal = session.drawn_goal();
   if (session.has_correspondence) goal.rest = session.rest;
   write_obj(folder / "goal.obj", goal);
-  for (std::size_t k = 0; k < session.obstacles.size(); ++k)
-    write_obj(folder / ("obstacle_" + std::to_string(k) + "_" + session.obstacles[k].name + ".obj"),
-              session.drawn_obstacle(k));
+  for (std::size_t k = 0; k < session.obstacles.size(); ++k) {
+    const Mesh obstacle = session.drawn_obstacle(k);
+    write_obj(folder / (obstacle.source + ".obj"), obstacle);
+  }
 }
 
 void export_csv(const fs::path& folder, const SessionRecord& session, const Timeline& timeline) {

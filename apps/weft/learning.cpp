@@ -1,7 +1,6 @@
 #include "learning.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <thread>
 
@@ -105,13 +104,14 @@ void Learning::check_numbers(const fs::path& file) const {
   }
   const DatasetOrigin origin{"", given_->seed, given_->params.data.validation_fraction,
                              given_->params.data.test_fraction};
-  std::array<std::int64_t, kSplitNames.size()> counts{};
+  bool trains = false, validates = false;
   for (std::int64_t i = 0; i < learn.examples; ++i) {
-    ++counts[static_cast<std::size_t>(origin.split(i))];
-    if (counts[0] > 0 && counts[1] > 0) return;
+    trains = trains || origin.split(i) == Split::train;
+    validates = validates || origin.split(i) == Split::validation;
+    if (trains && validates) return;
   }
   throw ConfigError(file.string() + ": learn.examples = " + std::to_string(learn.examples) + ": none of them is for " +
-                    (counts[0] == 0 ? "training" : "validation") + "; make more");
+                    (trains ? "validation" : "training") + "; make more");
 }
 
 Identity Learning::make_identity_of_call() const {

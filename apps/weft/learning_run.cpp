@@ -1,6 +1,5 @@
 // The steps of `weft learn`, and what it says about them.
 #include <algorithm>
-#include <cstdio>
 
 #include "experiments/shortfalls.hpp"
 #include "learning.hpp"
@@ -9,6 +8,7 @@
 #include "output.hpp"
 #include "report/times.hpp"
 #include "sdk/files.hpp"
+#include "sdk/formatted.hpp"
 #include "sdk/json_text.hpp"
 
 namespace weft::app {
@@ -18,12 +18,6 @@ namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
 constexpr std::int64_t kMostFailed = 10;  // per cent of the examples, beyond which learning stops
-
-std::string number_text(const char* format, double value) {
-  char text[60];
-  std::snprintf(text, sizeof(text), format, value);
-  return text;
-}
 
 }  // namespace
 
@@ -106,7 +100,7 @@ ordered_json Learning::make_all_examples() {
       const double rate = static_cast<double>(report.made) / std::max(1e-3, report.seconds);
       const std::int64_t to_go = total - report.made;
       show("examples", std::to_string(all - left - to_go) + " of " + std::to_string(all) + ", " +
-                           number_text("%.2f a second", rate) +
+                           formatted("%.2f a second", rate) +
                            left_in_all(static_cast<double>(to_go) / rate, left, numbers_.iterations));
     };
     show("examples", std::to_string(all - left - left_here) + " of " + std::to_string(all) +
@@ -129,10 +123,10 @@ ordered_json Learning::fit() {
   const auto progress = [&](const FitProgress& p) {
     std::string text = std::to_string(p.iteration) + " of " + std::to_string(p.iterations) + " iterations, ";
     if (p.seconds_left > 0.0)
-      text += number_text("%.1f a second, ", static_cast<double>(p.iterations - p.iteration) / p.seconds_left);
-    text += number_text("training loss %.3f", p.training_loss);
+      text += formatted("%.1f a second, ", static_cast<double>(p.iterations - p.iteration) / p.seconds_left);
+    text += formatted("training loss %.3f", p.training_loss);
     if (p.validation_error_mm > 0.0)  // after the first evaluation
-      text += number_text(", validation %.3f", p.validation_loss) + number_text(", %.1f mm", p.validation_error_mm);
+      text += formatted(", validation %.3f", p.validation_loss) + formatted(", %.1f mm", p.validation_error_mm);
     show("training", text + left_in_all(p.seconds_left, 0, 0));
     return true;
   };
@@ -209,8 +203,8 @@ void Learning::say_end() const {
   const auto& evaluation = record_.at("steps").at("evaluation");
   const auto& settled = evaluation.at("settled").at("from_start");
   if (settled.at("median_mm").is_number()) {
-    context_.say("held-out settled shapes: off by " + number_text("%.1f mm", settled["median_mm"].get<double>()) +
-                 " in the median, " + number_text("%.1f mm", settled.at("mean_mm").get<double>()) + " in the mean");
+    context_.say("held-out settled shapes: off by " + formatted("%.1f mm", settled["median_mm"].get<double>()) +
+                 " in the median, " + formatted("%.1f mm", settled.at("mean_mm").get<double>()) + " in the mean");
   }
   for (const auto& one : evaluation.at("short"))
     context_.say("short: " + one.at("what").get<std::string>() + ". Remedy: " + one.at("remedy").get<std::string>());

@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "sdk/formatted.hpp"
 #include "sdk/json_text.hpp"
 
 namespace weft {
@@ -16,13 +16,6 @@ constexpr Index kFewestJudged = 50;
 constexpr double kStillFalls = 0.02;  // of the loss per coordinate, in the last fifth of the fit
 constexpr double kOverfit = 0.3;      // validation loss above the training loss
 constexpr double kClose = 0.1;        // nearer, iterations are what is missing (docs/measurements/network.md)
-
-template <class... Values>
-std::string shortfall_text(const char* format, Values... values) {
-  char text[240];
-  std::snprintf(text, sizeof(text), format, values...);
-  return text;
-}
 
 void judge_fit(const std::vector<FitCurvePoint>& curve, std::vector<Shortfall>& found) {
   if (curve.size() < 4) {
@@ -40,14 +33,14 @@ void judge_fit(const std::vector<FitCurvePoint>& curve, std::vector<Shortfall>& 
                                   [&](const FitCurvePoint& p) { return static_cast<double>(p.iteration) >= before; });
   if (static_cast<double>(best->iteration) < before) {
     found.push_back(
-        {shortfall_text("the validation loss was lowest after %lld of %lld iterations and rose again: too few examples",
+        {formatted("the validation loss was lowest after %lld of %lld iterations and rose again: too few examples",
                         static_cast<long long>(best->iteration), static_cast<long long>(last.iteration)),
          "more examples for the fit"});
   } else if (const double gap = last.validation_loss - last.training_loss; gap > kOverfit) {
-    found.push_back({shortfall_text("the validation loss ended %.2f above the training loss: too few examples", gap),
+    found.push_back({formatted("the validation loss ended %.2f above the training loss: too few examples", gap),
                      "more examples for the fit"});
   } else if (const double fall = fifth->validation_loss - last.validation_loss; fall > kStillFalls) {
-    found.push_back({shortfall_text("the validation loss still fell, by %.2f in the last fifth of the fit", fall),
+    found.push_back({formatted("the validation loss still fell, by %.2f in the last fifth of the fit", fall),
                      "more iterations"});
   }
 }
@@ -72,7 +65,7 @@ void judge_sigma(const PredictionEvaluation& held_out, std::vector<Shortfall>& f
   for (const auto* rows : {&held_out.by_step, &held_out.by_step_from_random, &held_out.by_step_no_knowledge})
     judge_rows(*rows, judged, narrow, wide);
   if (judged == 0) {
-    found.push_back({shortfall_text("sigma cannot be judged: %td held-out examples, and 50 are needed",
+    found.push_back({formatted("sigma cannot be judged: %td held-out examples, and 50 are needed",
                                     held_out.by_step.empty() ? Index{0} : held_out.by_step.front().examples),
                      "more held-out examples"});
     return;
@@ -80,7 +73,7 @@ void judge_sigma(const PredictionEvaluation& held_out, std::vector<Shortfall>& f
   for (const auto& [count, how] : {std::pair{narrow, "small"}, std::pair{wide, "large"}}) {
     if (count == 0) continue;
     found.push_back(
-        {shortfall_text("sigma is too %s in %d of %d numbers (coverage outside 0.62 to 0.74, nse outside 0.8 to 1.25)",
+        {formatted("sigma is too %s in %d of %d numbers (coverage outside 0.62 to 0.74, nse outside 0.8 to 1.25)",
                         how, count, judged),
          "more examples for the calibration"});
   }
@@ -106,7 +99,7 @@ std::vector<FitCurvePoint> curve_of(const std::string& training_json) {
 std::vector<Shortfall> find_shortfalls(const LearnedModel& model) {
   std::vector<Shortfall> found;
   if (model.failed > 0 && 100 * model.failed > model.examples) {
-    found.push_back({shortfall_text("%lld of %lld examples failed", static_cast<long long>(model.failed),
+    found.push_back({formatted("%lld of %lld examples failed", static_cast<long long>(model.failed),
                                     static_cast<long long>(model.examples)),
                      "`weft dataset info` of the folders in examples/ lists why"});
   }
@@ -115,7 +108,7 @@ std::vector<Shortfall> find_shortfalls(const LearnedModel& model) {
   if (settled.n == 0) {
     found.push_back({"no held-out example was released, so settled shapes are not measured", "more held-out examples"});
   } else if (settled.median_mm > kTargetMedianMm) {
-    found.push_back({shortfall_text("settled shapes are off by %.1f mm in the median; the target is %.0f",
+    found.push_back({formatted("settled shapes are off by %.1f mm in the median; the target is %.0f",
                                     settled.median_mm, kTargetMedianMm),
                      is_close(model.curve) ? "more iterations: the losses of training and validation are close"
                                            : "more examples and iterations"});

@@ -193,7 +193,7 @@ void serve_work(const std::function<std::string(const std::string& request)>& an
     while (!line.empty()) {
       const ssize_t n = write(out, line.data(), line.size());
       if (n < 0 && errno != EINTR) return false;
-      line.remove_prefix(static_cast<std::size_t>(std::max<ssize_t>(n, 0)));
+      if (n > 0) line.remove_prefix(n);
     }
     return true;
   };

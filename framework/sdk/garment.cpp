@@ -306,16 +306,15 @@ void turn_to_texture(RestFrames& frames, const ObjFile& file, const ConfigNode& 
 
 /// One texture coordinate for each vertex, all faces counter-clockwise: a chart, as read_obj() reads it.
 std::optional<RestPositions> chart_of_texture(const ObjFile& file, double scale) {
-  RestPositions rest = RestPositions::Zero(static_cast<Index>(file.vertices.size()), 2);
+  RestPositions rest = RestPositions::Zero(file.vertices.size(), 2);
   std::vector<bool> known(file.vertices.size(), false);
-  for (std::size_t f = 0; f < file.faces.size(); ++f) {
-    const auto face = static_cast<Index>(f);
+  for (Index face = 0; face < std::ssize(file.faces); ++face) {
     for (Index k = 0; k < 3; ++k) {
-      const auto v = static_cast<std::size_t>(file.faces[f].corners[k].vertex);
+      const int v = file.faces[face].corners[k].vertex;
       const Vec2 at = scale * texture_at(file, face, k);
-      if (known[v] && rest.row(static_cast<Index>(v)) != at.transpose()) return std::nullopt;
+      if (known[v] && rest.row(v) != at.transpose()) return std::nullopt;
       known[v] = true;
-      rest.row(static_cast<Index>(v)) = at.transpose();
+      rest.row(v) = at.transpose();
     }
     const Vec2 p = texture_at(file, face, 0), u = texture_at(file, face, 1) - p, v = texture_at(file, face, 2) - p;
     if (u.x() * v.y() - u.y() * v.x() < 0.0) return std::nullopt;

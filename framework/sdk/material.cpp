@@ -261,6 +261,7 @@ Fabric read_fabric_mapping(const ConfigNode& node, const std::string& default_na
   }
   if (const auto name = node.find("name")) fabric.name = name->as_string();
   if (const auto source = node.find("source")) source->as_string();
+  if (const auto drape = node.find("drape")) drape->refuse_unknown_keys({"percent", "source"});
   read_properties(node, fabric);
   if (const auto tables = node.find("tables")) {
     tables->refuse_unknown_keys({"stretching", "bending"});

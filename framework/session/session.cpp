@@ -137,7 +137,7 @@ std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& t
 }
 
 void rehearse_session(const SessionParams& params, const ConfigNode& origin, Host& host) {
-  check_world(params.world, make_setup(params, origin, host).task, host);
+  check_world(params.world, make_setup(params, origin, host).task, origin, host);
 }
 
 PlanTimes plan_times(const SessionResult& result, Index lag) {

@@ -293,7 +293,9 @@ Mesh SessionRecord::drawn_goal() const {
 }
 
 Mesh SessionRecord::drawn_obstacle(std::size_t k) const {
-  return obstacle_mesh(obstacles.at(k), start.colwise().mean().transpose());
+  Mesh mesh = obstacle_mesh(obstacles.at(k), start.colwise().mean().transpose());
+  mesh.source = "obstacle_" + std::to_string(k) + "_" + obstacles[k].name;
+  return mesh;
 }
 
 std::shared_ptr<const GoalSurface> SessionRecord::goal_surface(const Garment& garment, const std::string& loss) const {

@@ -58,7 +58,7 @@ struct SessionRecord {
   Vector vertex_distances_mm(const Positions& shape) const;
   /// The goal as a mesh to draw, without rest positions: points are small squares.
   Mesh drawn_goal() const;
-  /// An obstacle as a mesh to draw.
+  /// An obstacle as a mesh to draw; its `source` is a name of its own: "obstacle_0_box".
   Mesh drawn_obstacle(std::size_t k) const;
   /// The goal without correspondence, or as a planning loss chamfer or silhouette sees it.
   std::shared_ptr<const GoalSurface> goal_surface(const Garment& garment, const std::string& loss) const;

@@ -104,12 +104,13 @@ std::optional<WorldRecord> world_record(const Task& task, const WorldParams& par
   return record;
 }
 
-void check_world(const WorldParams& params, const Task& task, Host& host) {
+void check_world(const WorldParams& params, const Task& task, const ConfigNode& config, Host& host) {
   std::vector<std::string> names;
   for (const auto& constant : kConstants) names.emplace_back(constant.name);
-  for (const auto& known : params.known)
-    if (std::find(names.begin(), names.end(), known) == names.end())
-      throw ConfigError("world.known = " + known + ", must be " + one_of(names) + nearest_hint(known, names));
+  for (std::size_t k = 0; k < params.known.size(); ++k)
+    if (std::find(names.begin(), names.end(), params.known[k]) == names.end())
+      place(config, "world.known." + std::to_string(k))
+          .fail("= " + params.known[k] + ", must be " + one_of(names) + nearest_hint(params.known[k], names));
   if (!params.simulator.is_null()) check_simulator(params.simulator, task, host);
 }
 

@@ -45,7 +45,8 @@ struct WorldRecord {
 Task world_task(const Task& task, const WorldParams& params, std::uint64_t seed);
 /// What world_task() changed; nullopt: nothing.
 std::optional<WorldRecord> world_record(const Task& task, const WorldParams& params, std::uint64_t seed);
-/// check_simulator() for the world's own simulator, if it has one. @throws ConfigError also for a name in `known` that is no constant.
-void check_world(const WorldParams& params, const Task& task, Host& host);
+/// check_simulator() for the world's own simulator, if it has one. @param config of the session, which messages name.
+/// @throws ConfigError also for a name in `known` that is no constant.
+void check_world(const WorldParams& params, const Task& task, const ConfigNode& config, Host& host);
 
 }  // namespace weft

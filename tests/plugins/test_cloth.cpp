@@ -5,15 +5,13 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 
-#include <atomic>
 #include <cmath>
-#include <cstdlib>
 #include <cstring>
-#include <new>
 #include <set>
 
 // Compiled in, so that the parts can be reached (with -march as the plugin).
 #include "meshes/intersections.hpp"
+#include "plugins/counted_allocations.hpp"
 #include "simulator/cloth/bending_patch.cpp"
 #include "simulator/cloth/cloth.cpp"
 #include "simulator/cloth/contact.cpp"
@@ -27,28 +25,6 @@
 #include "simulator/cloth/topology.cpp"
 #include "unit/test_support.hpp"
 #include "weft/random.hpp"
-
-namespace {
-std::atomic<long> allocations{0};
-}
-// Counts the program's allocations, for AllocatesNothingInTheFrameLoop. (Aligned new goes through malloc-family calls,
-// too.) The compiler inlines the pairs and reports malloc and delete as a mismatch.
-#pragma GCC diagnostic ignored "-Wmismatched-new-delete"
-void* operator new(std::size_t size) {
-  ++allocations;
-  if (void* p = std::malloc(size)) return p;
-  throw std::bad_alloc();
-}
-void* operator new(std::size_t size, std::align_val_t alignment) {
-  ++allocations;
-  const auto a = static_cast<std::size_t>(alignment);
-  if (void* p = std::aligned_alloc(a, (size + a - 1) / a * a)) return p;
-  throw std::bad_alloc();
-}
-void operator delete(void* p) noexcept { std::free(p); }
-void operator delete(void* p, std::size_t) noexcept { std::free(p); }
-void operator delete(void* p, std::align_val_t) noexcept { std::free(p); }
-void operator delete(void* p, std::size_t, std::align_val_t) noexcept { std::free(p); }
 
 namespace weft::cloth {
 namespace {

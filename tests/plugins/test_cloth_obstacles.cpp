@@ -2,11 +2,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <atomic>
-#include <cstdlib>
-#include <new>
-
 // Compiled in, so that allocations are counted (with -march as the plugin).
+#include "plugins/counted_allocations.hpp"
 #include "simulator/cloth/bending_patch.cpp"
 #include "simulator/cloth/cloth.cpp"
 #include "simulator/cloth/contact.cpp"
@@ -19,28 +16,6 @@
 #include "simulator/cloth/tables.cpp"
 #include "simulator/cloth/topology.cpp"
 #include "weft/mesh.hpp"
-
-namespace {
-std::atomic<long> allocations{0};
-}  // namespace
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wmismatched-new-delete"
-void* operator new(std::size_t size) {
-  ++allocations;
-  if (void* p = std::malloc(size)) return p;
-  throw std::bad_alloc();
-}
-void* operator new(std::size_t size, std::align_val_t align) {
-  ++allocations;
-  const auto a = static_cast<std::size_t>(align);
-  if (void* p = std::aligned_alloc(a, (size + a - 1) / a * a)) return p;
-  throw std::bad_alloc();
-}
-void operator delete(void* p) noexcept { std::free(p); }
-void operator delete(void* p, std::size_t) noexcept { std::free(p); }
-void operator delete(void* p, std::align_val_t) noexcept { std::free(p); }
-void operator delete(void* p, std::size_t, std::align_val_t) noexcept { std::free(p); }
-#pragma GCC diagnostic pop
 
 namespace weft::cloth {
 namespace {

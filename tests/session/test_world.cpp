@@ -92,8 +92,11 @@ TEST(World, LeavesConstantsThatAreKnownAndDrawsTheOthersAsWithoutThem) {
     EXPECT_EQ(factor, factor_of(other, name)) << name;
   }
   const auto host = make_host(std::make_shared<PluginRegistry>(), {.threads = 1});
-  EXPECT_THAT(test::message_of<ConfigError>([&] { check_world({.spread = 0.2, .known = {"densty"}}, task, *host); }),
-              testing::HasSubstr("world.known = densty"));
+  const ConfigNode config = ConfigNode::parse("world:\n  known: [poisson, densty]", "fold.yaml");
+  EXPECT_THAT(test::message_of<ConfigError>([&] {
+                check_world({.known = {"poisson", "densty"}}, task, config, *host);
+              }),
+              testing::AllOf(testing::HasSubstr("fold.yaml:2: world.known.1 = densty"), testing::HasSubstr("density")));
 }
 
 TEST(World, KeepsToFabricsThatMayBe) {

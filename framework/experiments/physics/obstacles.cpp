@@ -46,7 +46,7 @@ Slide slide_on_box(Simulator& simulator, const Sheet& sheet, const Fabric& fabri
   tilted.positions = tilted.positions * axes.transpose();
   simulator.reset(tilted.garment("tilted box"), fabric, scene);
   const Positions start = simulator.positions();
-  const auto frames = static_cast<Index>(std::lround(seconds / kFrameSeconds));
+  const Index frames = std::lround(seconds / kFrameSeconds);
   for (Index k = 0; k < frames; ++k) simulator.step(kNothing);
   const Positions moved = simulator.positions() - start;
   return {(moved * axes.col(0)).mean(), moved.rowwise().norm().maxCoeff()};
@@ -54,13 +54,7 @@ Slide slide_on_box(Simulator& simulator, const Sheet& sheet, const Fabric& fabri
 
 /// The tension (N/m) along a strip between two of its columns: St. Venant-Kirchhoff, K E dx/ds with Green's E.
 double tension(const Sheet& sheet, const Positions& x, double from, double to, double stiffness) {
-  const auto middle = [&](double s) {
-    Vec3 sum = Vec3::Zero();
-    const auto rows = sheet.column(s);
-    for (const Index i : rows) sum += x.row(i).transpose();
-    return Vec3(sum / static_cast<double>(rows.size()));
-  };
-  const double stretch = (middle(to) - middle(from)).norm() / (to - from);
+  const double stretch = (mean_of(x, sheet.column(to)) - mean_of(x, sheet.column(from))).norm() / (to - from);
   return 0.5 * stiffness * (stretch * stretch - 1.0) * stretch;
 }
 

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "sdk/formatted.hpp"
+
 namespace weft {
 
 std::string format_physics_row(const PhysicsRow& r) {
@@ -37,11 +39,7 @@ PhysicsRow relative(std::string test, const SimulatorVariant& variant, std::stri
              std::abs(measured / reference - 1.0), bound, std::move(note));
 }
 
-std::string text(const char* format, double value) {
-  char buffer[80];
-  std::snprintf(buffer, sizeof buffer, format, value);
-  return buffer;
-}
+std::string text(const char* format, double value) { return formatted(format, value); }
 std::string mm(double edge) { return text("%g mm", 1e3 * edge); }
 
 }  // namespace physics

@@ -87,7 +87,7 @@ def simulate(plan, costs, seed=1):
         elif returned:
             heapq.heappush(events, (returned[0][0], task, 0))
             continue
-        else:  # the rest is in the hands of others: it looks again at what it has not seen, and leaves
+        else:  # others work on the rest: the task looks at the files that it has not seen, and ends
             last = max(last, server.request(now, costs.look_s * (files - seen[task])))
             continue
         looks = max(0, free - seen[task])
