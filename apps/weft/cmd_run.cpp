@@ -6,7 +6,8 @@
 #include "output.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
-#include "session/session.hpp"
+#include "sdk/files.hpp"
+#include "session/sequence.hpp"
 #include "session/session_file.hpp"
 
 namespace weft::app {
@@ -35,6 +36,15 @@ void say_result(const Context& context, const SessionResult& result, Index lag) 
                   seen, result.chamfer_mm, result.rounds.size(), result.default_chamfer_mm, iou);
     context.say(line);
   }
+  if (result.trials.size() > 1) {
+    std::string errors;
+    for (const auto& trial : result.trials) {
+      std::snprintf(line, sizeof(line), "%s%.1f", errors.empty() ? "" : ", ",
+                    result.goal.rows() > 0 ? trial.error_mm : trial.chamfer_mm);
+      errors += line;
+    }
+    context.say("trial by trial: " + errors + " mm");
+  }
   if (!result.rounds.empty()) {
     const PlanTimes plans = plan_times(result, lag);
     double estimate = 0.0;
@@ -48,6 +58,47 @@ void say_result(const Context& context, const SessionResult& result, Index lag) 
   }
 }
 
+/// The config that repeats a run: with the counts that a clock decided, and the folder in which a command ran.
+ConfigNode repeatable(ConfigNode saved, const SessionStep& step, const SessionResult& result) {
+  const SessionParams& params = step.params;
+  const EnvironmentParams& environment = params.environment;
+  if (!environment.simulated() && environment.folder.empty()) {
+    // The command must run in the same folder when the saved config is run from another one.
+    const auto started_in = std::filesystem::absolute(place(step.config, "environment.command").folder());
+    saved = saved.with("environment.folder", ConfigNode::quoted(started_in.string()));
+  }
+  if (params.planning.time_budget_s > 0) {
+    std::vector<ConfigNode> counts;
+    for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
+    saved = saved.with("planning.replay_iterations", ConfigNode::sequence(counts));
+  }
+  if (params.correction.time_budget_s > 0) {
+    std::vector<ConfigNode> dropped;
+    for (const Index segment : result.dropped_corrections) dropped.push_back(ConfigNode::integer(segment));
+    saved = saved.with("correction.dropped", ConfigNode::sequence(dropped));
+  }
+  return saved;
+}
+
+/// The files of one fold. The session comes first, so that it is kept if the disk gets full.
+void write_fold(const std::filesystem::path& folder, const Task& task, const ConfigNode& saved,
+                const SessionResult& result, const std::string& provenance, int threads) {
+  const std::string summary = session_summary_json(result), times = session_times_json(result);
+  const auto session = folder / "session.h5";
+  write_session(session, result, task, saved, provenance);
+  try {
+    write_garment(task, folder);
+    write_text(folder / "config.yaml", saved.to_yaml());
+    write_text(folder / "provenance.json", provenance);
+    write_text(folder / "summary.json", summary);
+    write_text(folder / "times.json", times_json(threads, {{"summary.json", times}}));
+  } catch (const Error& error) {
+    throw Error(error.what() + ("; the session is kept in " + session.string()));
+  }
+}
+
+std::string step_name(Index number) { return "step_" + std::to_string(number + 1); }
+
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
   given.saved_config();  // before any work, because it also checks the slots that the session does not use
@@ -55,12 +106,20 @@ int run(Context& context, const std::string& file) {
       result_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
   const Identity identity = given.identity("run");
   require_unmixed(context, folder, identity);
+  const auto steps = session_steps(given.params, given.config);
+  const bool is_sequence = steps.size() > 1;
   const PlacedFolder placed(folder);
 
   context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
               (given.host->threads() == 1 ? " thread" : " threads"));
+  Index trial = 0, fold = 0;
   const auto progress = [&](const SessionRound& round, Index number, double) {
+    if (number == 0 && is_sequence && trial % given.params.trials == 0)
+      context.say("fold " + std::to_string(++fold) + " of " + std::to_string(steps.size()));
+    if (number == 0 && ++trial > 0 && given.params.trials > 1)
+      context.say("trial " + std::to_string((trial - 1) % given.params.trials + 1) + " of " +
+                  std::to_string(given.params.trials));
     char line[200], corrected[80] = "";
     if (round.correction && std::isfinite(round.correction->forecast_mm))
       std::snprintf(corrected, sizeof(corrected), "  corrected from %.1f mm, %zu simulated%s",
@@ -71,45 +130,36 @@ int run(Context& context, const std::string& file) {
                   round.plan.releases ? "" : "  (no release yet)", corrected);
     context.say(line);
   };
-  const SessionResult result = run_configured_session(given.params, given.config, *given.host, progress);
-  ConfigNode saved = given.saved_config();
-  const EnvironmentParams& environment = given.params.environment;
-  if (!environment.simulated() && environment.folder.empty()) {
-    // The command must run in the same folder when the saved config is run from another one.
-    const auto started_in = std::filesystem::absolute(place(given.config, "environment.command").folder());
-    saved = saved.with("environment.folder", ConfigNode::quoted(started_in.string()));
-  }
-  if (given.params.planning.time_budget_s > 0) {
-    std::vector<ConfigNode> counts;
-    for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
-    saved = saved.with("planning.replay_iterations", ConfigNode::sequence(counts));
-  }
-  if (given.params.correction.time_budget_s > 0) {
-    std::vector<ConfigNode> dropped;
-    for (const Index segment : result.dropped_corrections) dropped.push_back(ConfigNode::integer(segment));
-    saved = saved.with("correction.dropped", ConfigNode::sequence(dropped));
-  }
   const std::string provenance = given.provenance(identity);
-  const std::string summary = session_summary_json(result), times = session_times_json(result);
-  // The session comes first, so that it is kept if the disk gets full.
-  const auto session = folder / "session.h5";
-  write_session(session, result, given.task, saved, provenance);
-  try {
+  const auto done = [&](const SessionStep& step, Index number, const Task& task, const SessionResult& result) {
+    ConfigNode saved = given.saved_config();
+    if (is_sequence) {
+      saved = self_contained(step.resolved, describe_params<SessionParams>(), task, *given.registry);
+      if (number > 0)
+        saved = saved.with("start.session", ConfigNode::quoted("../" + step_name(number - 1) + "/session.h5"));
+    }
+    const auto target = is_sequence ? folder / step_name(number) : folder;
+    if (is_sequence) make_folder_for_results(target);
+    write_fold(target, task, repeatable(saved, step, result), result, provenance, given.host->threads());
+    for (const auto& warning : garment_warnings(*task.garment)) given.host->log(LogLevel::warning, warning);
+    for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
+    if (context.json && !is_sequence)
+      context.output() << with_times(session_summary_json(result), session_times_json(result));
+    say_result(context, result, given.params.correction.lag);
+    write_page(context, target);
+  };
+  const SessionResult result = run_sequence(given.params, given.config, *given.host, progress, done);
+  if (is_sequence) {
+    const std::string summary = sequence_summary_json(result);
     write_garment(given.task, folder);
-    write_text(folder / "config.yaml", saved.to_yaml());
+    write_text(folder / "config.yaml", given.saved_config().to_yaml());
     write_text(folder / "provenance.json", provenance);
     write_text(folder / "summary.json", summary);
-    write_text(folder / "times.json", times_json(given.host->threads(), {{"summary.json", times}}));
-  } catch (const Error& error) {
-    throw Error(error.what() + ("; the session is kept in " + session.string()));
+    if (context.json) context.output() << summary;
   }
-  for (const auto& warning : garment_warnings(*given.task.garment)) given.host->log(LogLevel::warning, warning);
-  for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
-  if (context.json) context.output() << with_times(summary, times);
-  say_result(context, result, given.params.correction.lag);
-  write_page(context, folder);
   context.say("results in " + folder.string());
-  return result.released ? 0 : 1;
+  const bool all_done = !is_sequence || result.steps.size() == steps.size();
+  return result.released && all_done ? 0 : 1;
 }
 
 }  // namespace

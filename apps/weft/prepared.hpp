@@ -1,13 +1,14 @@
 #pragma once
 #include <memory>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "context.hpp"
 #include "experiments/experiment_config.hpp"
 #include "learning/dataset_files.hpp"
 #include "output.hpp"
-#include "session/session.hpp"
+#include "session/sequence.hpp"
 #include "weft/dataset.hpp"
 #include "weft/params.hpp"
 
@@ -34,6 +35,7 @@ struct Prepared {
     host = context.host(registry, seed);
     task = make_task(params.task, config, *host);
     check_session(params, config, task);
+    if constexpr (std::is_same_v<Params, ExperimentParams>) require_one_step(params, config, "an experiment");
   }
   /// @param command whose results belong to the identity. @param keep, besides, data as those of IdentityInput.
   Identity identity(

@@ -14,7 +14,7 @@ SweepOutcome run_session_cell(const ConfigNode& config, Host& host) {
   SessionParams params;
   read_params(config, params);
   const double cpu_before = thread_cpu_seconds();
-  const SessionResult result = run_configured_session(params, config, host);
+  const SessionResult result = run_sequence(params, config, host);
   // With one thread all work except the solvers' own arithmetic runs here, so other programs do not count.
   const double cpu_seconds = host.threads() == 1 ? thread_cpu_seconds() - cpu_before : kNaN;
   SweepOutcome outcome = session_outcome(result);
@@ -86,6 +86,7 @@ SweepOutcome session_outcome(const SessionResult& result) {
       {"grasped_error_mm", result.errors.grasped_mm},
       {"named_error_mm", result.errors.named_mm},
       {"silhouette_iou", result.errors.iou},
+      {"coverage", result.errors.coverage},
       {"released", result.released ? 1.0 : 0.0},
       {"segments", static_cast<double>(result.rounds.size())},
       {"first_plan_loss", planned ? first.loss : kNaN},
@@ -99,6 +100,9 @@ SweepOutcome session_outcome(const SessionResult& result) {
     outcome.metrics.emplace_back(success_key(limit), std::isnan(result.error_mm)        ? kNaN
                                                      : succeeds(result.error_mm, limit) ? 1.0
                                                                                         : 0.0);
+  if (result.trials.size() > 1) outcome.metrics.emplace_back("first_trial_error_mm", result.trials.front().error_mm);
+  for (std::size_t k = 0; result.steps.size() > 1 && k < result.steps.size(); ++k)
+    outcome.metrics.emplace_back("step_" + std::to_string(k + 1) + "_error_mm", result.steps[k].error_mm);
   if (result.surface) {
     outcome.metrics.emplace_back("chamfer_mm", result.chamfer_mm);
     outcome.metrics.emplace_back("default_chamfer_mm", result.default_chamfer_mm);

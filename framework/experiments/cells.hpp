@@ -1,6 +1,6 @@
 #pragma once
 #include "experiments/sweep.hpp"
-#include "session/session.hpp"
+#include "session/sequence.hpp"
 
 /// The cells of `weft ablate`.
 namespace weft {

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "loader/where.hpp"
+#include "session/shape_errors.hpp"
 #include "session/trust_region.hpp"
 
 namespace weft {
@@ -142,6 +143,7 @@ Corrector::Corrector(std::shared_ptr<const Planner> planner, std::shared_ptr<con
 Corrector::Simulated Corrector::simulate(const CorrectionRequest& request, const PlanPoint& point) const {
   Simulated result;
   result.point = point;
+  if (!planner_->keeps_limits(request.plan, point)) return result;
   const Controls controls = planner_->controls_of(request.plan, point);
   FoldResult fold;
   try {
@@ -151,11 +153,12 @@ Corrector::Simulated Corrector::simulate(const CorrectionRequest& request, const
   }
   if (!fold.released || fold.segments != point.release) return result;
   result.shapes = std::move(fold.shapes);
+  if (request.learned) result.shapes.back() += *request.learned;
   const Positions& end = result.shapes.back();
   result.offset = end - planner_->predict(request.plan, point).back().mean;
   result.loss = result.point.loss = planner_->loss_of(request.plan, point, end);
   const auto& surface = request.plan.surface;  // what the planner knows of the goal
-  result.error_mm = surface ? surface->chamfer_mm(end) : mean_distance_mm(end, *request.plan.goal);
+  result.error_mm = surface ? surface->chamfer_mm(end) : mean_distance_mm(end, *request.plan.goal, request.plan.counts);
   return result;
 }
 

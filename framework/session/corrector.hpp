@@ -58,7 +58,8 @@ struct CorrectionStep {
   bool is_candidate = false;  ///< a plan of the network, or the plan in force; false: found near a simulated plan
   double radius = 0.0;        ///< of the search that found it
   double expected = 0.0;  ///< mm^2: loss by the predictor with the offset of its neighbour; NaN: it was in force before
-  double loss = 0.0;      ///< mm^2, simulated; infinity: the simulation diverged, or did not release there
+  double loss =
+      0.0;  ///< mm^2, simulated; infinity: the simulation diverged, did not release there, or the hands cannot do it
   /// Simulated mean vertex distance to the goal, with planning.loss chamfer or silhouette GoalSurface::chamfer_mm(); NaN:
   /// as `loss` is infinite.
   double error_mm = std::numeric_limits<double>::quiet_NaN();
@@ -75,6 +76,8 @@ struct CorrectionRequest {
   bool keeps_plan = false;
   bool is_new = false;     ///< the first candidate was never corrected: the others are tried wherever it is not enough
   double enough_mm = 0.0;  ///< as in the parameters, if it is larger
+  /// [V, 3] m: added to the simulated final shapes: what earlier trials showed that the simulation misses; null: nothing.
+  std::shared_ptr<const Positions> learned;
   /// More candidates, asked for once, where the simulated plans are poor; may be empty.
   std::function<std::vector<PlanPoint>()> more;
 };

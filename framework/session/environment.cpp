@@ -4,6 +4,7 @@
 
 #include "session/process_environment.hpp"
 #include "simulation/simulator_warnings.hpp"
+#include "simulation/start_shape.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -23,8 +24,7 @@ SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator,
       settle_(task.settle),
       params_(params),
       seed_(seed) {
-  simulator_->reset(task.garment, fabric_, scene_);
-  simulator_->grasp(task.manipulation.grasp_vertices);
+  begin(*simulator_, task, fabric_);
   record();
 }
 

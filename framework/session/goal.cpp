@@ -5,25 +5,17 @@
 #include "loader/where.hpp"
 #include "meshes/import/mesh_file.hpp"
 #include "meshes/import/triangulate.hpp"
+#include "session/placed_goal.hpp"
 #include "simulation/fold.hpp"
+#include "simulation/hand_limits.hpp"
+#include "simulation/start_shape.hpp"
 #include "weft/config.hpp"
-#include "weft/hdf5_file.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
 namespace {
 
 constexpr std::uint64_t kGoalStream = stream_key("goal");
-
-Positions final_shape_of(const std::filesystem::path& session_file, const Garment& garment) {
-  const auto file = Hdf5File::open(session_file);
-  const auto hash = file.read_text("/garment/hash");
-  if (hash != std::to_string(garment.hash)) {
-    throw ConfigError(session_file.string() + ": was recorded with another garment (hash " + hash + ", this one has " +
-                      std::to_string(garment.hash) + ")");
-  }
-  return file.read_positions("/final_shape");
-}
 
 std::shared_ptr<const GoalSurface> surface_of(const Positions& shape, const std::string& loss, const Task& task) {
   const GoalKind kind = loss == "silhouette" ? GoalKind::silhouette : GoalKind::surface;
@@ -58,18 +50,27 @@ std::shared_ptr<const GoalSurface> read_surface(const GoalParams& params, const 
 
 /// Refuses a loss that cannot compare a cloth with this goal. @param given key of the goal.
 void check_loss(const std::string& loss, const std::string& given, const ConfigNode& origin) {
-  std::vector<std::string> possible = {"mean", "expected", "chamfer", "silhouette"};
+  std::vector<std::string> possible = {"mean", "expected", "chamfer", "silhouette", "coverage"};
+  if (given == "goal.edge") possible = {"mean", "expected"};
   if (given == "goal.mesh") possible = {"chamfer", "silhouette"};
   if (given == "goal.points") possible = {"chamfer"};
   if (given == "goal.mask") possible = {"silhouette"};
   if (std::find(possible.begin(), possible.end(), loss) != possible.end()) return;
-  const std::string wanted = possible.size() == 1 ? possible[0] : "chamfer or silhouette";
+  const std::string wanted = possible.size() == 1 ? possible[0] : possible[0] + " or " + possible[1];
+  const std::string reason =
+      given == "goal.edge" ? ", of which only the edge counts" : ", whose points are not the garment's";
   place(origin, "planning.loss")
-      .fail("= " + loss + " cannot compare the cloth with " + given + ", whose points are not the garment's; use " +
-            wanted);
+      .fail("= " + loss + " cannot compare the cloth with " + given + reason + "; use " + wanted);
 }
 
 }  // namespace
+
+PlannerParams planning_for(PlannerParams params, const SessionGoal& goal) {
+  if (!params.vertices.empty() || !params.vertex_weights.empty()) return params;
+  for (std::size_t v = 0; v < goal.counts.size(); ++v)
+    if (goal.counts[v]) params.vertices.push_back(static_cast<double>(v));
+  return params;
+}
 
 PropertyVector property_vector(const std::vector<double>& values) {
   require_shape("material properties", values.size(), 4);
@@ -116,12 +117,14 @@ SessionGoal read_goal(const GoalParams& params, const std::string& loss, const C
   if (!params.mesh.empty()) given.push_back("goal.mesh");
   if (!params.points.empty()) given.push_back("goal.points");
   if (!params.mask.file.empty()) given.push_back("goal.mask");
+  if (!params.flat.move_m.empty()) given.push_back("goal.flat");
+  if (!params.edge.vertices.empty()) given.push_back("goal.edge");
   if (!params.controls.is_null()) given.push_back("goal.controls");
   if (given.empty()) return goal;
   const ConfigNode node = place(origin, given.back() == "goal.mask" ? "goal.mask.file" : given.back());
   if (given.size() > 1) {
     node.fail("is given together with " + given.front() +
-              "; give at most one of obj, example, mesh, points, mask and controls");
+              "; give at most one of obj, example, mesh, points, mask, flat, edge and controls");
   }
   check_loss(loss, given.front(), origin);
   if (!params.mesh.empty() || !params.points.empty() || !params.mask.file.empty()) {
@@ -132,8 +135,21 @@ SessionGoal read_goal(const GoalParams& params, const std::string& loss, const C
     goal.controls = read_controls(params.controls, *task.trajectory, params.horizon);
     return goal;
   }
+  if (!params.flat.move_m.empty()) return goal;  // its height is that of the cloth, which is not known yet
+  if (!params.edge.vertices.empty()) {
+    if (params.edge.vertices.size() != 2) must_be(place(origin, "goal.edge.vertices"), "2 names of vertices");
+    if (params.edge.to_m.empty()) must_be(place(origin, "goal.edge.to_m"), "a list of 6 numbers, m");
+    EdgeGoal edge = blaming(place(origin, "goal.edge.vertices"), [&] {
+      return edge_goal(*task.garment, {params.edge.vertices[0], params.edge.vertices[1]},
+                       Eigen::Map<const Positions>(params.edge.to_m.data(), 2, 3));
+    });
+    goal.shape = std::move(edge.shape);
+    goal.counts = std::move(edge.counts);
+    return goal;
+  }
   goal.shape = blaming(node, [&] {
-    return params.obj.empty() ? final_shape_of(params.example, *task.garment) : read_obj(params.obj).positions;
+    return params.obj.empty() ? open_recorded(params.example, *task.garment).read_positions("/final_shape")
+                              : read_obj(params.obj).positions;
   });
   if (goal.shape.rows() != task.garment->vertex_count()) {
     fail_because(node, "has " + std::to_string(goal.shape.rows()) + " vertices, must have the garment's " +
@@ -154,14 +170,21 @@ SessionGoal make_goal(SessionGoal given, const GoalParams& params, const std::st
   const MaterialProperties goal_material = chosen.value_or(material);
   const auto reference = host.create<Simulator>(task.simulator);
   const Index horizon = params.horizon;
-  goal.default_shape = simulate_fold(*reference, task, material, trajectory.default_controls(horizon)).shapes.back();
-  if (goal.controls.rows() > 0) {
+  const Vector initial = trajectory.initial_state(task.manipulation);
+  const Controls default_controls = within_limits(task, initial, {}, trajectory.default_controls(horizon)).controls;
+  goal.default_shape = simulate_fold(*reference, task, material, default_controls).shapes.back();
+  if (!params.flat.move_m.empty()) {
+    goal.shape = flat_goal(task, {params.flat.move_m[0], params.flat.move_m[1]}, params.flat.turn_deg,
+                           task.material.at(goal_material).thickness_m);
+  } else if (goal.controls.rows() > 0) {
     goal.shape = simulate_fold(*reference, task, goal_material, goal.controls).shapes.back();
   } else if (goal.shape.rows() == 0 && !goal.surface) {
     const auto& random_goal = params.random;
     for (std::int64_t attempt = 0; attempt < random_goal.attempts && goal.shape.rows() == 0; ++attempt) {
       RandomStream random = RandomStream(seed, kGoalStream).child(static_cast<std::uint64_t>(attempt));
-      const Controls controls = random_controls(trajectory, horizon, random_goal.distribution, random);
+      const Controls controls =
+          within_limits(task, initial, {}, random_controls(trajectory, horizon, random_goal.distribution, random))
+              .controls;
       FoldResult fold;
       try {
         fold = simulate_fold(*reference, task, goal_material, controls);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "session/goal_surface.hpp"
+#include "session/planner.hpp"
 #include "simulation/random_controls.hpp"
 #include "simulation/task_config.hpp"
 #include "weft/host.hpp"
@@ -15,7 +16,7 @@
 
 namespace weft {
 
-/// Goal of a session: exactly one of obj, example, mesh, points, mask, controls and random.
+/// Goal of a session: exactly one of obj, example, mesh, points, mask, flat, edge, controls and random.
 struct GoalParams {
   std::filesystem::path obj;
   std::filesystem::path example;
@@ -31,6 +32,26 @@ struct GoalParams {
       v("origin_m", origin_m, range(-100, 100, "m"), "x and y of the lower left corner of the picture.");
     }
   } mask;
+  struct Flat {
+    std::vector<double> move_m;
+    double turn_deg = 0.0;
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("move_m", move_m, range(-10, 10, "m"), "x and y: how far the flat garment is moved from its start.",
+        Length{2, "x, y"});
+      v("turn_deg", turn_deg, range(-360, 360, "deg"), "By how much it is turned about its middle.");
+    }
+  } flat;
+  struct Edge {
+    std::vector<std::string> vertices;
+    std::vector<double> to_m;
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("vertices", vertices, "Names of the ends of an open edge of the garment, whose vertices alone count.");
+      v("to_m", to_m, range(-10, 10, "m"), "Where its ends are to lie; it is straight between them.",
+        Length{6, "x, y, z of the first end, x, y, z of the second"});
+    }
+  } edge;
   ConfigNode controls;
   struct Random {
     double min_distance_mm = 45.0;
@@ -56,6 +77,8 @@ struct GoalParams {
       "silhouette.");
     v("points", points, "Points of the goal shape: a .ply in metres with z up. Needs planning.loss chamfer.");
     v.group("mask", mask, "The goal as a picture from above. Needs planning.loss silhouette.");
+    v.group("flat", flat, "The flat garment, elsewhere on the work surface.");
+    v.group("edge", edge, "Where an edge of the garment is to lie.");
     v("controls", controls, "Controls to simulate: a list of rows, or one row repeated until release.");
     v.group("random", random, "The result of a random trajectory; used if no other goal is given.");
     v("material", material, range(0, 1),
@@ -71,9 +94,13 @@ struct SessionGoal {
   Positions shape;  ///< [V, 3] m; 0 rows: the goal has no correspondence
   /// A goal without correspondence, or what planning.loss chamfer or silhouette sees of `shape`; else null.
   std::shared_ptr<const GoalSurface> surface;
-  Positions default_shape;  ///< [V, 3] m: the result of the default control
-  Controls controls;        ///< [k, C] of a goal that was simulated, else 0 rows
+  Positions default_shape;   ///< [V, 3] m: the result of the default control
+  Controls controls;         ///< [k, C] of a goal that was simulated, else 0 rows
+  std::vector<bool> counts;  ///< [V]: vertices that count in errors and, by default, in the loss; empty: all
 };
+
+/// The planning of a goal of which only some vertices count: without planning.vertices, those.
+PlannerParams planning_for(PlannerParams params, const SessionGoal& goal);
 
 /// q from a list in a config. @throws ShapeError unless it has four numbers.
 PropertyVector property_vector(const std::vector<double>& values);

@@ -42,12 +42,12 @@ std::shared_ptr<const Positions> filled(const Observation& seen, const Positions
   return std::make_shared<const Positions>(std::move(shape));
 }
 
-double seen_distance_mm(const Observation& seen, const Positions& shape) {
+double seen_distance_mm(const Observation& seen, const Positions& shape, const std::vector<bool>& counts) {
   require_shape("observed vertices", seen.positions.rows(), shape.rows());
   double sum = 0.0;
   Index count = 0;
   for (Index v = 0; v < shape.rows(); ++v) {
-    if (!seen.sees(v)) continue;
+    if (!seen.sees(v) || (!counts.empty() && !counts[v])) continue;
     sum += (seen.positions.row(v) - shape.row(v)).norm();
     ++count;
   }
@@ -55,6 +55,7 @@ double seen_distance_mm(const Observation& seen, const Positions& shape) {
 }
 
 std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen) {
+  if (task.start) return filled(seen, task.start->shape);
   Positions expected = task.garment->positions;
   const Garment& garment = *task.garment;
   double height = 0.0;  // of layer 0

@@ -43,7 +43,7 @@ Observation observe_shape(const Positions& shape, const ObservationParams& param
 /// The observed positions; unseen vertices get their expected positions. @param expected [V, 3] m.
 std::shared_ptr<const Positions> filled(const Observation& seen, const Positions& expected);
 /// Mean distance between the seen vertices and the same vertices of a shape, mm. @param shape [V, 3] m.
-double seen_distance_mm(const Observation& seen, const Positions& shape);
+double seen_distance_mm(const Observation& seen, const Positions& shape, const std::vector<bool>& counts = {});
 /// The observed start shape. Unseen vertices come from the flat garment, at the mean height of the seen ones.
 std::shared_ptr<const Positions> filled_start(const Task& task, const Observation& seen);
 

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "loader/where.hpp"
+#include "simulation/hand_limits.hpp"
 
 namespace weft {
 namespace {
@@ -33,11 +34,12 @@ Plan rest_of(const Plan& plan) {
 }
 
 PlanChain::PlanChain(std::shared_ptr<const Planner> planner, std::shared_ptr<const Twin> twin,
-                     const CorrectionParams& params, Host& host)
+                     const CorrectionParams& params, Host& host, const TrialMemory& memory)
     : planner_(planner),
       twin_(twin),
       params_(params),
       host_(host),
+      before_(memory),
       corrector_(std::move(planner), twin, params, host),
       filter_(*twin->task().garment),
       error_mm_(kNever),
@@ -58,10 +60,12 @@ std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::first(const PlanRequ
     track_ = {twin_->start(knowledge_.centre)};
     CorrectionRequest correction;
     correction.candidates = plan_.points;
+    if (!before_.learned.empty())
+      correction.candidates.insert(correction.candidates.begin(), planner_->point_of(request, before_.controls));
     correction.simulations = params_.simulations;
     correction.radius = params_.radius;
     const Plan network = plan_;
-    Outcome outcome = corrected(request, std::move(correction), track_.front(), 0);
+    Outcome outcome = corrected(request, std::move(correction), track_.front(), 0, 0);
     if (outcome.plan) {
       plan_ = std::move(*outcome.plan);
       // What the search of the network did stays on record.
@@ -159,6 +163,22 @@ TwinState PlanChain::twin_at(const Work& work, const MaterialProperties& materia
   return track_[work.executed.rows()];
 }
 
+TrialMemory PlanChain::memory(bool released) {
+  if (outcome_.valid()) outcome_.wait();
+  TrialMemory memory{.controls = executed_, .knowledge = knowledge_, .learned = {}};
+  const Index segments = executed_.rows();
+  if (!released || segments == 0) return memory;
+  Work past{.executed = executed_.topRows(segments - 1), .seen = seen_};
+  twin_at(past, knowledge_.centre);
+  memory.learned.resize(segments);
+  host_.parallel_for(segments, [&](Index j) {
+    const FoldResult fold = twin_->fold(track_[j], executed_.bottomRows(segments - j));
+    const Positions& forecast = fold.shapes.back();
+    memory.learned[j] = std::make_shared<const Positions>(*filled(*seen_.back(), forecast) - forecast);
+  });
+  return memory;
+}
+
 PlanChain::Outcome PlanChain::work(const Work& work) {
   const auto started = std::chrono::steady_clock::now();
   const Step segment("segment", work.due + 1);
@@ -170,10 +190,15 @@ PlanChain::Outcome PlanChain::work(const Work& work) {
   request.knowledge = outcome.knowledge;
   request.round = work.due;
   TwinState start = twin_at(work, outcome.knowledge.centre);
-  if (work.started > 0) request.previous = std::make_shared<const Positions>(track_[work.started - 1].positions);
+  if (work.started > 0) {
+    const TwinState& before = track_[work.started - 1];
+    request.previous = std::make_shared<const Positions>(before.positions);
+    request.hand_step = last_step(twin_->task(), before.state, work.executed.bottomRows(1).transpose());
+  }
   const Index lag = work.due - work.started;
   for (Index j = 0; j < lag; ++j) {
     request.previous = std::make_shared<const Positions>(start.positions);
+    request.hand_step = last_step(twin_->task(), start.state, work.rest.row(j).transpose());
     start = twin_->advance(start, work.rest.row(j).transpose());
   }
   request.shape = std::make_shared<const Positions>(start.positions);
@@ -203,7 +228,7 @@ PlanChain::Outcome PlanChain::work(const Work& work) {
       return points;
     };
     const double radius = outcome.radius;
-    outcome = corrected(request, std::move(correction), start, work.started);
+    outcome = corrected(request, std::move(correction), start, work.started, work.due);
     outcome.knowledge = request.knowledge;
     if (!outcome.plan) outcome.radius = radius;
   }
@@ -212,8 +237,10 @@ PlanChain::Outcome PlanChain::work(const Work& work) {
 }
 
 PlanChain::Outcome PlanChain::corrected(const PlanRequest& request, CorrectionRequest correction,
-                                        const TwinState& start, Index started) {
+                                        const TwinState& start, Index started, Index due) {
   Outcome outcome;
+  if (const Index known = std::ssize(before_.learned); known > 0)
+    correction.learned = before_.learned[std::min(due, known - 1)];
   correction.plan = request;
   correction.start = start;
   const Correction result = corrector_.correct(correction);

@@ -23,6 +23,16 @@ struct CorrectionRecord {
   bool dropped = false;  ///< it took longer than the budget; the plan before it stayed in force
 };
 
+/// What a trial teaches the next one on the same cloth: iterative learning control [Arimoto, Kawamura & Miyazaki 1984,
+/// "Bettering operation of robots by learning"] with the simulator as model.
+struct TrialMemory {
+  Controls controls;            ///< [u, C]: executed; 0 rows: there was no trial
+  MaterialKnowledge knowledge;  ///< at the end
+  /// [u]: the final shape that was observed, minus the one that the twin forecasts before segment j for these controls; 0 for
+  /// vertices that were not seen. [V, 3] m. Empty if the cloth was not released.
+  std::vector<std::shared_ptr<const Positions>> learned;
+};
+
 /// The plans of a session, corrected by a simulation that runs beside the execution. The simulated cloth (the twin) is
 /// carried along: it executes what the hands execute, and is pulled to every observation. A correction starts at the
 /// beginning of a segment from what is known then. It forecasts the cloth `lag` segments later with the controls that
@@ -31,7 +41,7 @@ struct CorrectionRecord {
 class PlanChain {
  public:
   PlanChain(std::shared_ptr<const Planner> planner, std::shared_ptr<const Twin> twin, const CorrectionParams& params,
-            Host& host);
+            Host& host, const TrialMemory& memory = {});
   ~PlanChain();
 
   /// The plan before the first segment. @param request of round 0.
@@ -45,6 +55,8 @@ class PlanChain {
                                                         const std::function<MaterialKnowledge()>& knowledge);
   /// Adds an executed segment and what was seen after it.
   void add(ConstVec control, const Observation& seen);
+  /// What this trial taught, once all its segments are added. @param released whether the cloth was. @throws Diverged.
+  TrialMemory memory(bool released);
   /// The knowledge that the plan in force was made with.
   const MaterialKnowledge& knowledge() const { return knowledge_; }
   /// Segments at whose beginning a correction started that was dropped.
@@ -72,7 +84,9 @@ class PlanChain {
     bool stalled = false;  // hardly better than the plan that it started from
   };
   Outcome work(const Work& work);
-  Outcome corrected(const PlanRequest& request, CorrectionRequest correction, const TwinState& start, Index started);
+  /// @param due the segment in which the plan begins.
+  Outcome corrected(const PlanRequest& request, CorrectionRequest correction, const TwinState& start, Index started,
+                    Index due);
   TwinState twin_at(const Work& work, const MaterialProperties& material);
   void start(const std::function<MaterialKnowledge()>& knowledge);
   std::optional<CorrectionRecord> finish();
@@ -81,6 +95,7 @@ class PlanChain {
   std::shared_ptr<const Twin> twin_;
   CorrectionParams params_;
   Host& host_;
+  TrialMemory before_;  // of the trial before
   Corrector corrector_;
   ShapeFilter filter_;
   PlanRequest base_;  // round 0

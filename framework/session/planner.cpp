@@ -6,9 +6,21 @@
 
 #include "loader/where.hpp"
 #include "session/planning_objective.hpp"
+#include "session/shape_errors.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
+
+namespace {
+
+/// Variables of a point that move the hands before the release: those of its first segments, where x is the controls row by
+/// row; else all.
+Index moving_variables(const Trajectory& trajectory, const PlanPoint& point) {
+  const Index controls = std::ssize(trajectory.controls());
+  return point.x.size() == controls * point.horizon ? controls * point.release : point.x.size();
+}
+
+}  // namespace
 
 Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigNode& origin) {
   if (params.vertices.empty() && params.vertex_weights.empty()) return Vector::Ones(vertices);
@@ -39,7 +51,7 @@ Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigN
 }
 
 double goal_distance_mm(const PlanRequest& request, const Positions& shape) {
-  return request.goal ? mean_distance_mm(shape, *request.goal) : request.surface->chamfer_mm(shape);
+  return request.goal ? mean_distance_mm(shape, *request.goal, request.counts) : request.surface->chamfer_mm(shape);
 }
 
 Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
@@ -50,7 +62,7 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
       params_(params),
       mean_params_(params),
       host_(host) {
-  mean_params_.loss = "mean";
+  if (params_.loss != "coverage") mean_params_.loss = "mean";
   if (optimiser_->capabilities().needs_gradients && !predictor_->capabilities().gradients) {
     throw Unsupported("the optimiser needs gradients, but the predictor has none; choose a gradient-free optimiser");
   }
@@ -58,6 +70,12 @@ Planner::Planner(const Task& task, std::shared_ptr<const Predictor> predictor,
     throw Unsupported(
         "the optimiser needs residuals, which planning.loss = silhouette does not have; choose another optimiser, or "
         "planning.loss = chamfer");
+  }
+  if (params_.loss == "coverage" &&
+      (optimiser_->capabilities().needs_gradients || optimiser_->capabilities().needs_residuals)) {
+    throw Unsupported(
+        "planning.loss = coverage has no gradient, which the optimiser needs; choose mppi or a gradient-free algorithm "
+        "of nlopt");
   }
   weights_ = vertex_weights(params_, task_.garment->vertex_count());
 }
@@ -123,7 +141,7 @@ Plan Planner::plan(const PlanRequest& request) const {
   plan.ended = search_end(results, plan.instance);
 
   for (const auto& result : results) {
-    if (!std::isfinite(result.cost)) continue;
+    if (!std::isfinite(result.cost) || !objective.keeps_limits(result.x)) continue;
     PlanPoint point{result.x, plan.horizon, objective.make_case(result.x).segments.front(), result.cost};
     const auto same = std::find_if(plan.points.begin(), plan.points.end(),
                                    [&](const PlanPoint& other) { return other.release == point.release; });
@@ -134,7 +152,9 @@ Plan Planner::plan(const PlanRequest& request) const {
   }
   std::stable_sort(plan.points.begin(), plan.points.end(),
                    [](const PlanPoint& a, const PlanPoint& b) { return a.loss < b.loss; });
-  Plan winner = plan_of(request, plan.points.front());
+  // What is left of the plan in force keeps the limits of the hands, which move already.
+  Plan winner = plan.points.empty() ? plan_of_controls(request, start.topRows(first ? plan.horizon : kept))
+                                    : plan_of(request, plan.points.front());
   plan.shapes = std::move(winner.shapes);
   plan.controls = std::move(winner.controls);
   plan.releases = winner.releases;
@@ -171,7 +191,7 @@ PlanPoint Planner::search_near(const PlanRequest& request, const LocalSearch& se
   const auto& trajectory = *task_.trajectory;
   PlanRequest shifted = request;
   // |mean + offset - goal| = |mean - (goal - offset)|
-  if (request.surface)
+  if (request.surface || params_.loss == "coverage")
     shifted.offset = std::make_shared<const Positions>(search.offset);
   else
     shifted.goal = std::make_shared<const Positions>(*request.goal - search.offset);
@@ -179,7 +199,7 @@ PlanPoint Planner::search_near(const PlanRequest& request, const LocalSearch& se
   const Index horizon = search.anchor.horizon;
   PlanningObjective objective(task_, *predictor_, mean_params_, weights_, shifted, horizon);
   const Vector scale = trajectory.decision_scale(horizon);
-  const double moving = static_cast<double>(scale.size() * search.anchor.release) / static_cast<double>(horizon);
+  const double moving = static_cast<double>(moving_variables(trajectory, search.anchor));
   const Vector half = 2.0 * search.radius / std::sqrt(moving) * scale;
   const Box all = trajectory.decision_bounds(horizon);
   const Box region{(search.anchor.x - half).cwiseMax(all.lower), (search.anchor.x + half).cwiseMin(all.upper)};
@@ -197,8 +217,7 @@ PlanPoint Planner::search_near(const PlanRequest& request, const LocalSearch& se
 
 double Planner::distance(const PlanPoint& a, const PlanPoint& b) const {
   const Vector scale = task_.trajectory->decision_scale(a.horizon);
-  const Index moving = scale.size() * a.release / a.horizon;
-  return (a.x - b.x).cwiseQuotient(scale).head(moving).norm();
+  return (a.x - b.x).cwiseQuotient(scale).head(moving_variables(*task_.trajectory, a)).norm();
 }
 
 double Planner::loss_of(const PlanRequest& request, const PlanPoint& point, const Positions& shape) const {
@@ -206,11 +225,19 @@ double Planner::loss_of(const PlanRequest& request, const PlanPoint& point, cons
   return objective.loss_of(shape, objective.decode(point.x), point.release);
 }
 
+bool Planner::keeps_limits(const PlanRequest& request, const PlanPoint& point) const {
+  return PlanningObjective(task_, *predictor_, mean_params_, weights_, request, point.horizon).keeps_limits(point.x);
+}
+
 std::vector<ShapeDistribution> Planner::predict(const PlanRequest& request, const PlanPoint& point) const {
+  return predict(request, controls_of(request, point));
+}
+
+std::vector<ShapeDistribution> Planner::predict(const PlanRequest& request, const Controls& controls) const {
   PredictionCase one{.shape = request.shape, .previous = request.previous, .state = request.state};
-  one.controls = controls_of(request, point);
+  one.controls = controls;
   one.knowledge = request.knowledge;
-  for (Index j = 1; j <= point.release; ++j) one.segments.push_back(j);
+  for (Index j = 1; j <= controls.rows(); ++j) one.segments.push_back(j);
   const auto prediction = predictor_->predict({one}, {.moments = Moments::mean_and_sigma});
   if (!prediction->failure(0).empty())
     throw Error("planning: the chosen plan cannot be predicted: " + prediction->failure(0));
@@ -218,12 +245,18 @@ std::vector<ShapeDistribution> Planner::predict(const PlanRequest& request, cons
 }
 
 Plan Planner::plan_of(const PlanRequest& request, const PlanPoint& point) const {
-  Plan plan;
+  Plan plan = plan_of_controls(request, controls_of(request, point));
   plan.horizon = point.horizon;
   plan.loss = point.loss;
   plan.points = {point};
-  plan.shapes = predict(request, point);
-  plan.controls = controls_of(request, point);
+  return plan;
+}
+
+Plan Planner::plan_of_controls(const PlanRequest& request, const Controls& controls) const {
+  Plan plan;
+  plan.horizon = controls.rows();
+  plan.controls = controls.topRows(task_.trajectory->release_segment(task_.manipulation, request.state, controls));
+  plan.shapes = predict(request, plan.controls);
   const Controls states = task_.trajectory->segment_states(task_.manipulation, request.state, plan.controls);
   plan.releases = task_.trajectory->released(states.row(states.rows() - 1).transpose());
   plan.predicted_error_mm = goal_distance_mm(request, plan.shapes.back().mean);

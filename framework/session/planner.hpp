@@ -46,9 +46,11 @@ struct PlannerParams {
     v("activity_weight", activity_weight, range(0, 1e6, "mm^2"), "beta of eq. 4.");
     v("slowness_weight", slowness_weight, range(0, 1e6),
       "Weight in L_act of segments that are too slow to finish within the horizon.");
-    v("loss", loss, choice({"mean", "expected", "chamfer", "silhouette"}),
+    v("loss", loss, choice({"mean", "expected", "chamfer", "silhouette", "coverage"}),
       "mean: squared error of the predicted mean, as in eq. 4. expected: expected squared error, which adds sigma^2. "
-      "chamfer: squared distances from the nearest points of the goal, and back. silhouette: the same as seen along -z.");
+      "chamfer: squared distances from the nearest points of the goal, and back. silhouette: the same as seen along -z. "
+      "coverage: 10^4 (1 - c)^2, c being the area that the cloth covers seen from above, as a share of the flat garment's; it "
+      "has no gradient.");
     v("vertices", vertices, range(0, 1e9), "Vertices that count in the error; default: all.");
     v("vertex_weights", vertex_weights, range(0, 1e9), "Weights of these vertices, scaled to mean 1; default: equal.");
     v("time_budget_s", time_budget_s, range(0, 1e6, "s"), "Stop a plan after this time; 0: never.");
@@ -67,10 +69,13 @@ struct PlanRequest {
   std::shared_ptr<const Positions> shape;     ///< [V, 3] m: s_i
   std::shared_ptr<const Positions> previous;  ///< one segment earlier, or null
   Vector state;                               ///< [S]
+  Positions hand_step;                        ///< [G, 3] m: way of the hands in the frame before; 0 rows: at rest
   std::shared_ptr<const Positions> goal;      ///< [V, 3] m: s*; null: the goal has no correspondence
   /// The goal of planning.loss chamfer and silhouette, which then decides alone; null with the other losses.
   std::shared_ptr<const GoalSurface> surface;
-  std::shared_ptr<const Positions> offset;  ///< [V, 3] m: added to the predicted mean, with `surface`; null: none
+  std::vector<bool> counts;  ///< [V]: vertices whose distance from `goal` counts as error; empty: all
+  /// [V, 3] m: added to the predicted mean, with `surface` and with planning.loss coverage; null: none.
+  std::shared_ptr<const Positions> offset;
   MaterialKnowledge knowledge;
   Controls warm_start;  ///< the rest of the previous plan; 0 rows: the default trajectory
   Index release = 0;    ///< 1-based segment at whose end the cloth is released; 0: the search chooses it
@@ -135,21 +140,26 @@ class Planner {
   /// The point whose controls are nearest to the given ones, as plan() would begin with them.
   /// @param controls [u, C], u its release segment.
   PlanPoint point_of(const PlanRequest& request, const Controls& controls) const;
-  /// [u, C], within the predictor's control range.
+  /// [u, C], within the predictor's control range and the limits of the hands.
   Controls controls_of(const PlanRequest& request, const PlanPoint& point) const;
   /// The best point near an anchor, with the anchor's release segment and with its loss by the shifted predictor.
   PlanPoint search_near(const PlanRequest& request, const LocalSearch& search) const;
+  /// Whether the point keeps the limits of the hands from the first frame on (LimitedControls::kept).
+  bool keeps_limits(const PlanRequest& request, const PlanPoint& point) const;
   /// Length of the step between two points of one horizon, in units of the scales, over the variables up to the release.
   double distance(const PlanPoint& a, const PlanPoint& b) const;
   /// The planning loss of a point (eq. 4) if the cloth ends in this shape. @param shape [V, 3] m.
   double loss_of(const PlanRequest& request, const PlanPoint& point, const Positions& shape) const;
   /// The prediction after every segment, [u]. @throws Error if the point cannot be predicted.
   std::vector<ShapeDistribution> predict(const PlanRequest& request, const PlanPoint& point) const;
+  /// What becomes of controls that are not those of a point, such as the rest of a plan. @param controls [u, C].
+  Plan plan_of_controls(const PlanRequest& request, const Controls& controls) const;
   /// A plan of this point: controls, release, prediction and predicted error.
   Plan plan_of(const PlanRequest& request, const PlanPoint& point) const;
   Index horizon_of(const Controls& warm_start) const;
 
  private:
+  std::vector<ShapeDistribution> predict(const PlanRequest& request, const Controls& controls) const;
   Task task_;
   std::shared_ptr<const Predictor> predictor_;
   std::shared_ptr<const Optimiser> optimiser_;

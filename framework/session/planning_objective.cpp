@@ -6,6 +6,8 @@
 
 #include "session/instance_rows.hpp"
 #include "session/jvp.hpp"
+#include "session/shape_errors.hpp"
+#include "simulation/hand_limits.hpp"
 
 namespace weft {
 namespace {
@@ -14,6 +16,12 @@ constexpr double kSquareMm = 1e6;  // m^2 to mm^2, so that losses are between 1 
 /// A fixed release: progress passes 1 by this much in segment u, and stays as far below it before. 0.05 deg of 180.
 constexpr double kReleaseMargin = 0.05 / 180.0;
 constexpr double kReleaseWeight = 1e7;  // mm^2 per progress^2: 1 deg too far counts as 17 mm
+
+/// The penalty of hands that exceed their limits, mm^2 per squared residual: a speed 10 % too high in one whole segment
+/// counts as 3 mm.
+constexpr double kLimitWeight = 1e3;
+
+constexpr double kCoverageWeight = 1e4;  // mm^2: one percent counts as 1 mm
 
 /// d progress / d state by central differences. Progress is a smooth function of a handful of state variables, so
 /// trajectory plugins need not write its gradient.
@@ -58,15 +66,22 @@ PlanningObjective::PlanningObjective(const Task& task, const Predictor& predicto
 
 ObjectiveCapabilities PlanningObjective::capabilities() const {
   const Index controls = task_.trajectory->controls().size();
+  if (params_.loss == "coverage") return {.gradients = false, .residuals = 0};
   const bool has_residuals = !request_.surface || request_.surface->kind() != GoalKind::silhouette;
   if (!has_residuals) return {.gradients = predictor_.capabilities().gradients, .residuals = 0};
   return {.gradients = predictor_.capabilities().gradients,
-          .residuals = shape_rows() + (horizon_ - 1) * controls + horizon_ + (request_.release > 0 ? 2 : 0)};
+          .residuals = shape_rows() + (horizon_ - 1) * controls + horizon_ + (request_.release > 0 ? 2 : 0) +
+                       (has_limits() ? 4 * horizon_ : 0)};
 }
 
 PlanningObjective::ShapeTerm PlanningObjective::shape_term(const Positions& mean, const Positions* sigma,
                                                            bool with_gradient) const {
   ShapeTerm term;
+  if (params_.loss == "coverage") {
+    const double missing = 1.0 - coverage(request_.offset ? Positions(mean + *request_.offset) : mean, *task_.garment);
+    term.loss = kCoverageWeight * missing * missing;
+    return term;
+  }
   if (const auto& surface = request_.surface) {
     const Positions shape = request_.offset ? Positions(mean + *request_.offset) : mean;
     term.pairs = surface->pairs(shape);
@@ -115,14 +130,15 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
   Evaluation result;
   result.costs.resize(n);
   std::vector<std::vector<ShapeCotangent>> cotangents(n);
-  std::vector<Controls> d_controls(n);  // of all but the shape
+  std::vector<Controls> d_controls(n);  // of all but the shape and the hands' limits
+  std::vector<Controls> d_wanted(n);    // of the hands' limits; empty: 0
   std::vector<ShapeTerm> terms(n);
   const auto find_term = [&](Index i) {
     if (!prediction->failure(i).empty()) return;
     const auto& shape = prediction->shapes()[i].front();
     terms[i] = shape_term(shape.mean, moments_ == Moments::mean ? nullptr : &shape.sigma, wanted.gradients);
   };
-  if (host_ && request_.surface) {
+  if (host_ && (request_.surface || params_.loss == "coverage")) {
     host_->parallel_for(n, find_term);
   } else {
     for (Index i = 0; i < n; ++i) find_term(i);
@@ -138,11 +154,16 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
                                           wanted.gradients ? &d_controls[i] : nullptr);
     std::vector<Controls> d_release;
     const Vector release = release_residuals(cases[i].controls, wanted.gradients ? &d_release : nullptr);
-    result.costs(i) =
-        terms[i].loss + params_.activity_weight * activity + 0.5 * release.squaredNorm() + terms[i].sigma_loss;
+    std::vector<Controls> d_hands;
+    const Vector hands = hand_residuals(x.col(i), wanted.gradients ? &d_hands : nullptr);
+    result.costs(i) = terms[i].loss + params_.activity_weight * activity + 0.5 * release.squaredNorm() +
+                      terms[i].sigma_loss + 0.5 * hands.squaredNorm();
     if (!wanted.gradients) continue;
     d_controls[i] *= params_.activity_weight;
     for (Index k = 0; k < release.size(); ++k) d_controls[i] += release(k) * d_release[k];
+    if (hands.size() > 0) d_wanted[i] = Controls::Zero(horizon_, d_controls[i].cols());
+    for (Index k = 0; k < hands.size(); ++k)
+      if (hands(k) > 0.0) d_wanted[i] += hands(k) * d_hands[k];
     cotangents[i].front().mean = std::move(terms[i].d_mean);
     if (moments_ != Moments::mean) cotangents[i].front().sigma = std::move(terms[i].d_sigma);
   }
@@ -151,7 +172,8 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
     result.gradients = Matrix::Zero(dim(), n);
     for (Index i = 0; i < n; ++i) {
       if (!std::isfinite(result.costs(i))) continue;
-      Controls total = gradients[i].controls + d_controls[i];
+      Controls total = unlimited_gradient(x.col(i), gradients[i].controls + d_controls[i]);
+      if (d_wanted[i].size() > 0) total += d_wanted[i];
       limit_gradient(x.col(i), total);
       result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
     }
@@ -171,6 +193,35 @@ PredictionCase PlanningObjective::make_case(ConstVec x) const {
 }
 
 Controls PlanningObjective::decode(ConstVec x) const {
+  const Controls wanted = wanted_controls(x);
+  return has_limits() ? within_limits(task_, request_.state, request_.hand_step, wanted).controls : wanted;
+}
+
+bool PlanningObjective::keeps_limits(ConstVec x) const {
+  return !has_limits() || within_limits(task_, request_.state, request_.hand_step, wanted_controls(x)).kept;
+}
+
+Controls PlanningObjective::unlimited_gradient(ConstVec x, const Controls& gradient) const {
+  if (!has_limits()) return gradient;
+  const auto limited = within_limits(task_, request_.state, request_.hand_step, wanted_controls(x));
+  Controls result = Controls::Zero(gradient.rows(), gradient.cols());
+  for (Index j = 0; j < gradient.rows(); ++j)
+    result.row(limited.rows[j]) += gradient.row(j) / static_cast<double>(limited.parts[j]);
+  return result;
+}
+
+Vector PlanningObjective::hand_residuals(ConstVec x, std::vector<Controls>* gradients) const {
+  if (!has_limits()) return {};
+  const Controls wanted = wanted_controls(x);
+  const Index u = task_.trajectory->release_segment(task_.manipulation, request_.state, wanted);
+  const double root = std::sqrt(2.0 * kLimitWeight);
+  Vector residuals = root * limit_residuals(task_, request_.state, request_.hand_step, wanted, u, gradients);
+  if (gradients)
+    for (auto& gradient : *gradients) gradient *= root;
+  return residuals;
+}
+
+Controls PlanningObjective::wanted_controls(ConstVec x) const {
   Controls controls = task_.trajectory->decode(x, horizon_, request_.state);
   if (range_) {
     for (Index j = 0; j < controls.rows(); ++j)
@@ -236,15 +287,19 @@ Matrix PlanningObjective::decoding(ConstVec x, const PredictionCase& one) const 
   const Index controls = one.controls.cols();
   Matrix decode(one.segments.front() * controls, dim());
   Controls unit = Controls::Zero(one.controls.rows(), controls);
-  const Controls uncut = task_.trajectory->decode(x, horizon_, request_.state);
+  const Controls uncut = task_.trajectory->decode(x, horizon_, request_.state), wanted = wanted_controls(x);
+  LimitedControls limited;
+  if (has_limits()) limited = within_limits(task_, request_.state, request_.hand_step, wanted);
   for (Index k = 0; k < decode.rows(); ++k) {
-    if (uncut.data()[k] != one.controls.data()[k]) {  // clamped: no effect
+    const Index row = k / controls, column = k % controls;
+    const Index of = has_limits() ? limited.rows[row] : row;
+    if (uncut(of, column) != wanted(of, column)) {  // clamped: no effect
       decode.row(k).setZero();
       continue;
     }
-    unit.data()[k] = 1.0;
+    unit(of, column) = has_limits() ? 1.0 / static_cast<double>(limited.parts[row]) : 1.0;
     decode.row(k) = task_.trajectory->decode_pullback(x, horizon_, request_.state, unit).transpose();
-    unit.data()[k] = 0.0;
+    unit(of, column) = 0.0;
   }
   return decode;
 }
@@ -271,14 +326,23 @@ void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<Predictio
     std::vector<Controls> d_release;
     const Vector release = release_residuals(one.controls, with_jacobians ? &d_release : nullptr);
     result.residuals.col(i).segment(shape_rows(), activity.size()) = activity_weight * activity;
-    result.residuals.col(i).tail(release.size()) = release;
+    const Index after_activity = shape_rows() + activity.size(), after_release = after_activity + release.size();
+    result.residuals.col(i).segment(after_activity, release.size()) = release;
+    std::vector<Controls> d_hands;
+    const Vector hands = hand_residuals(x.col(i), with_jacobians ? &d_hands : nullptr);
+    result.residuals.col(i).tail(hands.size()) = hands;
     if (!with_jacobians) continue;
     const Matrix decode = decoding(x.col(i), one);
+    for (Index k = 0; k < hands.size(); ++k) {
+      if (hands(k) > 0.0)
+        result.jacobians[i].row(after_release + k) =
+            task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, d_hands[k]).transpose();
+    }
     result.jacobians[i].middleRows(shape_rows(), activity.size()) =
         activity_weight * d_activity.leftCols(decode.rows()) * decode;
     for (Index k = 0; k < release.size(); ++k) {
       const auto row = Eigen::Map<const Eigen::RowVectorXd>(d_release[k].data(), decode.rows());
-      result.jacobians[i].row(shape_rows() + activity.size() + k) = row * decode;
+      result.jacobians[i].row(after_activity + k) = row * decode;
     }
     for (Index k = 0; k < columns; ++k) {
       if (decode.col(k).isZero(0.0)) continue;

@@ -7,7 +7,9 @@
 namespace weft {
 
 /// Eq. 4 on a batch of decision vectors: the loss of planning. With PlanRequest::release the release segment u is fixed,
-/// and a penalty keeps it there: the cloth must be released in segment u and not before.
+/// and a penalty keeps it there: the cloth must be released in segment u and not before. With Task::hands a penalty
+/// (limit_residuals) keeps the controls within the limits, and those that are not are made so (within_limits): shapes,
+/// release and activity are those of the limited controls.
 class PlanningObjective final : public Objective {
  public:
   /// All arguments must live as long as the objective. @param weights [V]. @param host whose threads find the nearest
@@ -17,15 +19,17 @@ class PlanningObjective final : public Objective {
 
   Index dim() const override { return task_.trajectory->decision_size(horizon_); }
   /// Residuals: 3 V of the shape, with `loss: expected` also 3 V of sigma, then those of the activity loss, then, where
-  /// the release segment is fixed, two of the penalty. Cost = 1/2 |r|^2 up to rounding. With PlanRequest::surface those of
+  /// the release segment is fixed, two of its penalty, then, where the hands have limits, those of theirs. Cost = 1/2 |r|^2 up to rounding. With PlanRequest::surface those of
   /// the shape are GoalSurface's; a silhouette has none.
   ObjectiveCapabilities capabilities() const override;
   Evaluation evaluate(ConstMatrix x, const std::vector<Index>& instances, const EvaluationRequest& wanted) override;
 
   /// The case of one decision vector. It requests only the shape after the release segment u (eq. 5).
   PredictionCase make_case(ConstVec x) const;
-  /// Controls of a decision vector, [horizon, C], clamped to the predictor's control range.
+  /// Controls of a decision vector, [horizon, C], clamped to the predictor's control range, within the hands' limits.
   Controls decode(ConstVec x) const;
+  /// Whether they keep the limits in the first frame (LimitedControls::kept).
+  bool keeps_limits(ConstVec x) const;
   /// The loss if the plan ended in this shape. @param shape [V, 3] m. @param u its release segment.
   double loss_of(const Positions& shape, const Controls& controls, Index u) const;
   Index evaluations() const { return evaluations_; }
@@ -42,6 +46,13 @@ class PlanningObjective final : public Objective {
   /// The penalty's residuals, [2] or [0]. @param gradients null, or set to their gradients with respect to the controls.
   Vector release_residuals(const Controls& controls, std::vector<Controls>* gradients) const;
   void limit_gradient(ConstVec x, Controls& gradient) const;
+  /// Before the limits of the hands, [horizon, C].
+  Controls wanted_controls(ConstVec x) const;
+  /// dL/d wanted_controls() from dL/d decode(). Where a row was moved to keep the workspace, it counts as if it had not been.
+  Controls unlimited_gradient(ConstVec x, const Controls& gradient) const;
+  /// The penalty's residuals, [4 horizon] or [0]. @param gradients as in limit_residuals(), of wanted_controls().
+  Vector hand_residuals(ConstVec x, std::vector<Controls>* gradients) const;
+  bool has_limits() const { return task_.hands.any(); }
   Index shape_rows() const {
     const Index coordinates = 3 * task_.garment->vertex_count();
     if (request_.surface) return request_.surface->residual_count();

@@ -1,7 +1,9 @@
 #include "session/replay.hpp"
 
 #include "session/estimate_chain.hpp"
+#include "session/sequence.hpp"
 #include "simulation/fold.hpp"
+#include "simulation/hand_limits.hpp"
 
 namespace weft {
 namespace {
@@ -18,10 +20,10 @@ void require_same_garment(const SessionRecord& recorded, const Garment& garment)
 
 LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Index segment,
                     Host& host) {
+  require_one_step(params, origin, "weft plan");
   const Task task = session_task(params, origin, host);
   const auto seed = static_cast<std::uint64_t>(params.seed);
-  const Planner planner(task, bound_predictor(place(origin, "predictor"), task, host),
-                        host.create<Optimiser>(params.optimiser), params.planning, host);
+  SessionGoal goal = read_goal(params.goal, params.planning.loss, origin, task);
   LonePlan result;
   PlanRequest request{.seed = seed};
   if (recorded != nullptr) {
@@ -47,13 +49,16 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
     request.knowledge = round.knowledge;
     if (params.knowledge == "true") request.knowledge = first_knowledge(params, origin, recorded->true_material);
     request.round = segment - 1;
+    goal.counts = recorded->goal_counts;
+    if (segment > 1)
+      request.hand_step =
+          last_step(task, recorded->rounds[at - 1].state, recorded->rounds[at - 1].controls.row(0).transpose());
     if (recorded->has_correspondence) result.goal = recorded->goal;
     if (!recorded->has_correspondence || is_surface_loss(params.planning.loss))
       request.surface = recorded->goal_surface(*task.garment, params.planning.loss);
   } else {
     const auto material = true_material_of(params);
     request.knowledge = first_knowledge(params, origin, material);
-    SessionGoal goal = read_goal(params.goal, params.planning.loss, origin, task);
     const Task world = world_task(task, params.world, seed);
     const auto environment =
         make_environment(params.environment, origin, world, material, params.observation, seed, host);
@@ -65,6 +70,9 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
   }
   if (result.goal.rows() > 0) request.goal = std::make_shared<const Positions>(result.goal);
   result.knowledge = request.knowledge;
+  request.counts = goal.counts;
+  const Planner planner(task, bound_predictor(place(origin, "predictor"), task, host),
+                        host.create<Optimiser>(params.optimiser), planning_for(params.planning, goal), host);
   result.plan = planner.plan(request);
   return result;
 }
@@ -92,6 +100,7 @@ std::vector<Estimate> replay_estimates(const SessionEstimator& estimator, const 
 
 LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded,
                              Host& host) {
+  require_one_step(params, origin, "weft estimate");
   const Task task = session_task(params, origin, host);
   const SessionEstimator estimator(task, bound_predictor(place(origin, "predictor"), task, host),
                                    host.create<Optimiser>(params.estimation_optimiser), params.estimation,
@@ -116,7 +125,9 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
       place(origin, "environment.command")
           .fail("executes the fold, so the material is unknown; the simulated default fold needs true_material");
     }
-    const Controls controls = task.trajectory->default_controls(params.goal.horizon);
+    const Controls controls = within_limits(task, task.trajectory->initial_state(task.manipulation), {},
+                                            task.trajectory->default_controls(params.goal.horizon))
+                                  .controls;
     const Task world = world_task(task, params.world, seed);
     FoldResult fold = simulate_fold(*host.create<Simulator>(world.simulator), world, *result.true_material, controls);
     replay.state = fold.states.row(0).transpose();

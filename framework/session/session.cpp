@@ -8,7 +8,9 @@
 #include "sdk/cpu_time.hpp"
 #include "sdk/quantile.hpp"
 #include "session/estimate_chain.hpp"
+#include "session/shape_errors.hpp"
 #include "weft/config.hpp"
+#include "weft/hash.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
@@ -16,7 +18,14 @@ namespace {
 
 constexpr std::uint64_t kMaterialStream = 0x71;
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+constexpr std::uint64_t kTrialStream = stream_key("tria");
 constexpr std::uint64_t kKnowledgeStream = stream_key("know");
+
+std::uint64_t hash_of(const Positions& shape) {
+  Fnv1a hash;
+  hash.add(shape.data(), sizeof(double) * shape.size());
+  return hash.value();
+}
 
 /// Frames of a session that was observed only at the ends of segments: each holds the observation before it.
 std::vector<std::vector<float>> held_frames(const SessionResult& result) {
@@ -46,14 +55,17 @@ std::vector<std::string> session_warnings(const SessionResult& result, const Ses
   return warnings;
 }
 
-SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, Host& host) {
+SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, Host& host,
+                        std::shared_ptr<const StartShape> start = nullptr) {
   SessionSetup setup;
-  setup.task = session_task(params, origin, host);
+  setup.task = session_task(params, origin, host, std::move(start));
   const Task& task = setup.task;
   setup.knowledge = first_knowledge(params, origin, true_material_of(params));
+  if (params.knowledge == "estimate" && task.start && task.start->knowledge) setup.knowledge = *task.start->knowledge;
   const auto predictor = bound_predictor(place(origin, "predictor"), task, host);
-  setup.planner =
-      std::make_shared<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser), params.planning, host);
+  setup.goal = read_goal(params.goal, params.planning.loss, origin, task);
+  setup.planner = std::make_shared<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser),
+                                                  planning_for(params.planning, setup.goal), host);
   if (params.knowledge == "estimate") {
     setup.estimator =
         std::make_unique<const SessionEstimator>(task, predictor, host.create<Optimiser>(params.estimation_optimiser),
@@ -61,7 +73,6 @@ SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, H
   }
   if (params.correction.simulations > 0)
     setup.twin = std::make_shared<const Twin>(task, params.correction.simulator, host);
-  setup.goal = read_goal(params.goal, params.planning.loss, origin, task);
   return setup;
 }
 
@@ -101,8 +112,9 @@ MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode&
   return knowledge;
 }
 
-Task session_task(const SessionParams& params, const ConfigNode& origin, Host& host) {
-  Task task = make_task(params.task, origin, host);
+Task session_task(const SessionParams& params, const ConfigNode& origin, Host& host,
+                  std::shared_ptr<const StartShape> start) {
+  Task task = make_task(params.task, origin, host, std::move(start));
   check_session(params, origin, task);
   return task;
 }
@@ -114,6 +126,11 @@ void check_session(const SessionParams& params, const ConfigNode& origin, const 
     must_be(place(origin, params.world.spread > 0.0 ? "world.spread" : "world.simulator"),
             "left out with environment.command: the process is the world");
   }
+  if (params.trials > 1 && params.correction.simulations == 0)
+    must_be(place(origin, "trials"), "1 without correction.simulations: nothing would be learned");
+  if (params.trials > 1 && (params.correction.time_budget_s > 0.0 || params.planning.time_budget_s > 0.0))
+    must_be(place(origin, "trials"),
+            "1 with a time budget: the session records what the clock decided in its last trial only");
   vertex_weights(params.planning, task.garment->vertex_count(), origin);
   if (is_surface_loss(params.planning.loss)) {
     for (const auto& [key, list] : {std::pair("planning.vertices", &params.planning.vertices),
@@ -133,6 +150,11 @@ std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& t
     host.log(LogLevel::warning,
              "the predictor does not know the task's obstacles (capability obstacles): it predicts what its examples "
              "were, and a plan is right only where the simulator corrects it (correction)");
+  if (task.start && predictor->trainable() != nullptr)
+    host.log(
+        LogLevel::warning,
+        "the task starts from a recorded session (start.session): a trained predictor predicts what its examples were, "
+        "and a plan is right only where they started there, too, or the simulator corrects it (correction)");
   return predictor;
 }
 
@@ -164,23 +186,26 @@ namespace {
 /// One session while it runs.
 class SessionRun {
  public:
-  SessionRun(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host)
+  SessionRun(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
+             const TrialMemory& memory)
       : params_(params),
         setup_(setup),
         environment_(environment),
         host_(host),
         trajectory_(*setup.task.trajectory),
         estimator_(setup.estimator.get()),
-        chain_(estimator_, host, static_cast<std::uint64_t>(params.seed)) {
+        chain_(estimator_, host, static_cast<std::uint64_t>(params.seed)),
+        state_(trajectory_.initial_state(setup.task.manipulation)),
+        hands_(setup.task.hands, trajectory_.targets(setup.task.manipulation, state_), {}) {
     result_.true_material = environment.true_material();
     result_.goal = setup.goal.shape;
+    result_.goal_counts = setup.goal.counts;
     result_.goal_controls = setup.goal.controls;
     result_.default_shape = setup.goal.default_shape;
     result_.surface = setup.goal.surface;
     if (result_.goal.rows() > 0) goal_ = std::make_shared<const Positions>(result_.goal);
-    result_.default_error_mm = goal_ ? mean_distance_mm(result_.default_shape, *goal_) : kUnknown;
+    result_.default_error_mm = goal_ ? mean_distance_mm(result_.default_shape, *goal_, result_.goal_counts) : kUnknown;
     if (result_.surface) result_.default_chamfer_mm = result_.surface->chamfer_mm(result_.default_shape);
-    state_ = trajectory_.initial_state(setup.task.manipulation);
     const Observation first = environment.observe();
     current_ = filled_start(setup.task, first);
     result_.shapes_are_true = environment.true_shape().has_value();
@@ -188,7 +213,7 @@ class SessionRun {
     result_.error_mm = error_mm(first);
     last_seen_ = first.observed;
     chain_.start(setup.task, first, state_, std::ssize(trajectory_.controls()));
-    if (setup.twin) plans_.emplace(setup.planner, setup.twin, params.correction, host);
+    if (setup.twin) plans_.emplace(setup.planner, setup.twin, params.correction, host, memory);
   }
 
   bool goes_on() const {
@@ -217,17 +242,29 @@ class SessionRun {
     result_.rounds.push_back(std::move(round));
   }
 
+  TrialMemory memory() {
+    TrialMemory memory = plans_ ? plans_->memory(result_.released) : TrialMemory();
+    if (const auto all = chain_.all(); !all.empty()) memory.knowledge = all.back().knowledge;
+    return memory;
+  }
+
   SessionResult finished() {
     result_.estimates = chain_.all();
     if (plans_) result_.dropped_corrections = plans_->dropped();
     result_.final_shape = environment_.true_shape().value_or(*current_);
-    const auto counting = result_.shapes_are_true ? std::vector<bool>() : last_seen_;
+    std::vector<bool> counting = result_.goal_counts;
+    if (!result_.shapes_are_true) {
+      if (counting.empty()) counting.assign(last_seen_.size(), true);
+      for (std::size_t v = 0; v < counting.size(); ++v) counting[v] = counting[v] && last_seen_[v];
+    }
     if (goal_)
       result_.errors = shape_errors(result_.final_shape, *goal_, setup_.task, counting);
     else
-      result_.errors = {kUnknown, kUnknown, kUnknown, result_.surface->iou(result_.final_shape)};
+      result_.errors = {kUnknown, kUnknown, kUnknown, result_.surface->iou(result_.final_shape),
+                        coverage(result_.final_shape, *setup_.task.garment)};
     if (result_.surface) result_.chamfer_mm = result_.surface->chamfer_mm(result_.final_shape);
     result_.max_grasp_strain = environment_.max_grasp_strain();
+    result_.hands = hands_.motion();
     if (auto frames = environment_.frames()) result_.frames = std::move(*frames);
     if (result_.frames.empty()) result_.frames = held_frames(result_);
     result_.warnings = environment_.warnings();
@@ -239,7 +276,8 @@ class SessionRun {
   double error_mm(const Observation& seen) const {
     if (!goal_) return kUnknown;
     const auto truth = environment_.true_shape();
-    return truth ? mean_distance_mm(*truth, result_.goal) : seen_distance_mm(seen, result_.goal);
+    return truth ? mean_distance_mm(*truth, result_.goal, result_.goal_counts)
+                 : seen_distance_mm(seen, result_.goal, result_.goal_counts);
   }
 
   SessionRound planned(Index number) {
@@ -248,31 +286,42 @@ class SessionRun {
     PlanRequest request{.shape = current_,
                         .previous = previous_,
                         .state = state_,
+                        .hand_step = hand_step_,
                         .goal = goal_,
                         .surface = result_.surface,
+                        .counts = result_.goal_counts,
                         .offset = nullptr,
                         .knowledge = setup_.knowledge,
                         .warm_start = warm_start_,
                         .round = number,
                         .seed = static_cast<std::uint64_t>(params_.seed)};
     if (!plans_) {
-      if (estimator_) request.knowledge = chain_.knowledge(number - params_.knowledge_lag);
+      if (estimator_) request.knowledge = narrower(chain_.knowledge(number - params_.knowledge_lag));
       round.plan = setup_.planner->plan(request);
       round.knowledge = request.knowledge;
       return round;
     }
     // The correction that starts now makes the plan of segment number + lag.
     const Index seen = std::min<Index>(number, number + params_.correction.lag - params_.knowledge_lag);
-    const auto known = estimator_ ? chain_.knowledge_later(seen) : [this] { return setup_.knowledge; };
+    const auto known = [this, later = estimator_ ? chain_.knowledge_later(seen) : nullptr] {
+      return later ? narrower(later()) : setup_.knowledge;
+    };
     std::tie(round.plan, round.correction) = number == 0 ? plans_->first(request) : plans_->next(request, known);
     round.knowledge = plans_->knowledge();
     return round;
+  }
+
+  /// An earlier fold of the same cloth may have shown more than this one has yet.
+  MaterialKnowledge narrower(const MaterialKnowledge& now) const {
+    return now.width.mean() <= setup_.knowledge.width.mean() ? now : setup_.knowledge;
   }
 
   void execute(const Vector& control) {
     const auto started = std::chrono::steady_clock::now();
     const SegmentPath path = trajectory_.segment(setup_.task.manipulation, state_, control);
     environment_.execute(path);
+    for (const auto& targets : path.targets) hands_.add(targets);
+    hand_step_ = hands_.last_step();
     state_ = path.end_state;
     if (trajectory_.released(state_)) {
       result_.settle = environment_.release();
@@ -293,35 +342,62 @@ class SessionRun {
   std::shared_ptr<const Positions> goal_, current_, previous_;
   std::vector<bool> last_seen_;
   Vector state_;
+  HandMotionMeter hands_;
+  Positions hand_step_;  // of the last frame
   Controls warm_start_;
 };
 
 }  // namespace
 
 SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
-                          const SessionProgress& progress) {
+                          const SessionProgress& progress, TrialMemory* memory) {
   // With one thread all work except the solvers' own arithmetic runs here, so other sessions of this process do not count.
   const auto cpu_seconds = [&] { return host.threads() == 1 ? thread_cpu_seconds() : process_cpu_seconds(); };
   const double cpu_before = cpu_seconds();
-  SessionRun run(params, setup, environment, host);
+  SessionRun run(params, setup, environment, host, memory ? *memory : TrialMemory());
   while (run.goes_on()) run.round(progress);
+  if (memory) *memory = run.memory();
   SessionResult result = run.finished();
   result.cpu_seconds = cpu_seconds() - cpu_before;
   return result;
 }
 
+TrialRecord SessionResult::record() const {
+  return {.error_mm = error_mm,
+          .chamfer_mm = chamfer_mm,
+          .coverage = errors.coverage,
+          .predicted_error_mm = rounds.empty() ? kUnknown : rounds.back().plan.predicted_error_mm,
+          .segments = std::ssize(rounds),
+          .released = released};
+}
+
 SessionResult run_configured_session(const SessionParams& params, const ConfigNode& origin, Host& host,
-                                     const SessionProgress& progress) {
-  SessionSetup setup = make_setup(params, origin, host);
+                                     const SessionProgress& progress, std::shared_ptr<const StartShape> start) {
+  SessionSetup setup = make_setup(params, origin, host, std::move(start));
   const auto seed = static_cast<std::uint64_t>(params.seed);
   const auto material = true_material_of(params);
   const Task world = world_task(setup.task, params.world, seed);
-  const auto environment = [&] {
+  const auto new_environment = [&](std::uint64_t observation_seed) {
     const Step step("making the environment");
-    return make_environment(params.environment, origin, world, material, params.observation, seed, host);
-  }();
+    return make_environment(params.environment, origin, world, material, params.observation, observation_seed, host);
+  };
+  // A fold that follows another one has errors of observation of its own.
+  const std::uint64_t noise = setup.task.start ? RandomStream(seed, hash_of(setup.task.start->world)).bits64() : seed;
+  auto environment = new_environment(noise);
   setup.goal = make_goal(std::move(setup.goal), params.goal, params.planning.loss, world, seed, material, host);
-  SessionResult result = run_session(params, setup, *environment, host, progress);
+  TrialMemory memory;
+  SessionResult result;
+  std::vector<TrialRecord> trials;
+  for (Index trial = 0; trial < params.trials && !host.cancelled(); ++trial) {
+    if (trial > 0) {
+      environment.reset();  // a process ends before the next one starts
+      environment = new_environment(RandomStream(noise, kTrialStream, static_cast<std::uint64_t>(trial)).bits64());
+      if (params.knowledge == "estimate") setup.knowledge = memory.knowledge;
+    }
+    result = run_session(params, setup, *environment, host, progress, params.trials > 1 ? &memory : nullptr);
+    trials.push_back(result.record());
+  }
+  result.trials = std::move(trials);
   result.world = world_record(setup.task, params.world, seed);
   return result;
 }

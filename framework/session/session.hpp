@@ -13,6 +13,7 @@
 #include "session/planner.hpp"
 #include "session/shape_errors.hpp"
 #include "session/world.hpp"
+#include "simulation/hand_limits.hpp"
 #include "simulation/task_config.hpp"
 
 namespace weft {
@@ -35,6 +36,8 @@ struct SessionParams {
   double drawn_width = 0.1;
   std::int64_t knowledge_lag = 1;
   std::int64_t max_segments = 40;
+  std::int64_t trials = 1;
+  ConfigNode manipulations;
   std::int64_t seed = 1;
   std::int64_t threads = 0;
   std::vector<std::string> plugin_path;
@@ -69,6 +72,12 @@ struct SessionParams {
     v("knowledge_lag", knowledge_lag, range(0, 1000, "segments"),
       "knowledge: estimate: plan j uses the observations up to segment j - knowledge_lag. From 1 on the estimate runs "
       "in parallel to planning and execution; 0 waits for it.");
+    v("trials", trials, range(1, 1000),
+      "Times that the same cloth is folded, flat at the beginning of each. With corrections a trial begins with the plan of the "
+      "one before, and corrects it by what then happened, not only by the simulation. Results are those of the last one.");
+    v("manipulations", manipulations,
+      "Folds that follow one another: a list of mappings with the keys in which each differs from the session: manipulation, "
+      "trajectory, goal, planning, correction, max_segments.");
     v("max_segments", max_segments, range(1, 1000, "segments"),
       "The session ends after this many segments, even without a release.");
   }
@@ -79,10 +88,11 @@ struct SessionParams {
 void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task);
 
 /// Makes the task and runs check_session().
-Task session_task(const SessionParams& params, const ConfigNode& origin, Host& host);
+Task session_task(const SessionParams& params, const ConfigNode& origin, Host& host,
+                  std::shared_ptr<const StartShape> start = nullptr);
 /// q of the executed fold: given, or drawn from the seed. nullopt if a process executes the fold and q is not given.
 std::optional<MaterialProperties> true_material_of(const SessionParams& params);
-/// The knowledge before the first segment; none for `estimate`.
+/// The knowledge before the first segment; none for `estimate`, unless StartShape has some.
 /// @throws ConfigError for knowledge `true` or `drawn` if the true material is unknown.
 MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin,
                                   const std::optional<MaterialProperties>& true_material);
@@ -94,6 +104,15 @@ void rehearse_session(const SessionParams& params, const ConfigNode& origin, Hos
 /// Makes a predictor and binds it to the task.
 /// @throws ConfigError, PluginError. Errors in a model file are reported at the config key that names the file.
 std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& task, Host& host);
+
+/// How a trial, or a step of several folds, ended.
+struct TrialRecord {
+  double error_mm = 0.0, chamfer_mm = 0.0;  ///< as in SessionResult
+  double coverage = 0.0;                    ///< ShapeErrors::coverage
+  double predicted_error_mm = 0.0;          ///< of the last plan, before it was over
+  Index segments = 0;
+  bool released = false;
+};
 
 /// One round: plan, execute one segment, observe.
 struct SessionRound {
@@ -125,6 +144,7 @@ struct SessionResult {
   Positions start, final_shape, default_shape;  ///< [V, 3] m
   Positions goal;                               ///< [V, 3] m; 0 rows: the goal has no correspondence
   std::shared_ptr<const GoalSurface> surface;   ///< as SessionGoal::surface
+  std::vector<bool> goal_counts;                ///< as SessionGoal::counts
   Controls goal_controls;                       ///< [k, C] of a goal that was simulated, else 0 rows
   std::optional<MaterialProperties> true_material;
   std::optional<WorldRecord> world;  ///< nullopt: the task's, or unknown
@@ -142,6 +162,10 @@ struct SessionResult {
   double simulate_seconds = 0.0;  ///< s in the environment's execute() and release()
   double cpu_seconds = 0.0;       ///< s of the whole session, without making its goal
   std::optional<double> max_grasp_strain;
+  HandMotion hands;                 ///< of the executed frames
+  std::vector<TrialRecord> trials;  ///< all, this one too
+  std::vector<TrialRecord> steps;   ///< of a sequence (run_sequence), this one too
+  TrialRecord record() const;
   /// Segments, from 0, at whose beginning a correction started that was dropped (correction.time_budget_s).
   std::vector<Index> dropped_corrections;
   /// As Environment::frames(). If the environment has none, each frame holds the observation before it, and settling is
@@ -169,13 +193,17 @@ using SessionProgress = std::function<void(const SessionRound&, Index round, dou
 /// `knowledge: estimate` the material is estimated after every segment (section 5), in parallel to planning and
 /// execution. knowledge_lag, not timing, fixes which estimate a plan uses.
 /// @param environment at the start of a manipulation. @throws Error if planning or the environment fails.
+/// @param memory what the trial before taught; set to what this one taught if plans are corrected.
 SessionResult run_session(const SessionParams& params, const SessionSetup& setup, Environment& environment, Host& host,
-                          const SessionProgress& progress = {});
+                          const SessionProgress& progress = {}, TrialMemory* memory = nullptr);
 
-/// Makes the setup and the environment from the config and runs the session.
+/// Makes the setup and the environment from the config and runs the session, as often as params.trials says, each time in a
+/// new environment with the same cloth.
 /// @param origin the node that params were read from.
 /// @throws ConfigError, PluginError before any work starts; as run_session().
+/// @param start where the cloth lies, in place of what the config says; null: as it says.
 SessionResult run_configured_session(const SessionParams& params, const ConfigNode& origin, Host& host,
-                                     const SessionProgress& progress = {});
+                                     const SessionProgress& progress = {},
+                                     std::shared_ptr<const StartShape> start = nullptr);
 
 }  // namespace weft

@@ -9,6 +9,7 @@
 #include "sdk/json_text.hpp"
 #include "session/search_end.hpp"
 #include "session/session.hpp"
+#include "session/shape_errors.hpp"
 #include "simulation/surroundings.hpp"
 #include "weft/hdf5_file.hpp"
 
@@ -205,6 +206,26 @@ void write_goal_surface(Hdf5File& file, const GoalSurface& goal) {
   if (goal.faces().rows() > 0) file.write("/goal_surface/faces", WideFaces(goal.faces().cast<std::int64_t>()));
 }
 
+/// @param counts [V]: the vertices that count; empty: all.
+void write_goal(Hdf5File& file, const Positions& goal, const std::vector<bool>& counts) {
+  file.write("/goal", goal);
+  std::vector<std::int64_t> vertices;
+  for (std::size_t v = 0; v < counts.size(); ++v)
+    if (counts[v]) vertices.push_back(static_cast<std::int64_t>(v));
+  if (!vertices.empty()) file.write("/goal_vertices", {std::ssize(vertices)}, vertices.data());
+}
+
+std::vector<bool> read_goal_vertices(const Reader& in, Index vertices) {
+  std::vector<bool> counts(vertices, false);
+  const auto listed = in.integers("/goal_vertices");
+  if (listed.empty()) in.fail("/goal_vertices", "must list at least one vertex");
+  for (const auto vertex : listed) {
+    if (vertex < 0 || vertex >= vertices) in.fail("/goal_vertices", "names a vertex that does not exist");
+    counts[vertex] = true;
+  }
+  return counts;
+}
+
 void read_goal_surface(const Reader& in, SessionRecord& record) {
   record.has_correspondence = false;
   const std::string name = in.text("/goal_surface/kind");
@@ -250,9 +271,17 @@ nlohmann::ordered_json correction_json(const CorrectionRecord& record, std::size
           {"simulations", steps}};
 }
 
-}  // namespace
-
-namespace {
+nlohmann::ordered_json trials_json(const std::vector<TrialRecord>& trials) {
+  auto list = nlohmann::ordered_json::array();
+  for (const auto& trial : trials)
+    list.push_back({{"error_mm", number(trial.error_mm)},
+                    {"chamfer_mm", number(trial.chamfer_mm)},
+                    {"coverage", number(trial.coverage)},
+                    {"predicted_error_mm", number(trial.predicted_error_mm)},
+                    {"segments", trial.segments},
+                    {"released", trial.released}});
+  return list;
+}
 
 /// The garment as far as distances from a goal need it.
 Garment drawn_garment(const SessionRecord& session) {
@@ -265,7 +294,7 @@ Garment drawn_garment(const SessionRecord& session) {
 }  // namespace
 
 double SessionRecord::goal_distance_mm(const Positions& shape) const {
-  if (has_correspondence) return mean_distance_mm(shape, goal);
+  if (has_correspondence) return mean_distance_mm(shape, goal, goal_counts);
   return GoalSurface(goal_kind, goal, goal_faces, drawn_garment(*this)).chamfer_mm(shape);
 }
 
@@ -303,6 +332,13 @@ std::shared_ptr<const GoalSurface> SessionRecord::goal_surface(const Garment& ga
   return std::make_shared<const GoalSurface>(has_correspondence ? seen_as : goal_kind, goal, goal_faces, garment);
 }
 
+std::string sequence_summary_json(const SessionResult& result) {
+  auto steps = trials_json(result.steps);
+  for (std::size_t k = 0; k < steps.size(); ++k) steps[k]["folder"] = "step_" + std::to_string(k + 1);
+  const nlohmann::ordered_json summary = {{"schema", "weft sequence 1"}, {"steps", steps}};
+  return summary.dump(2) + "\n";
+}
+
 std::string session_summary_json(const SessionResult& result) {
   using nlohmann::ordered_json;
   const auto list = [](const auto& v) { return std::vector<double>(v.data(), v.data() + v.size()); };
@@ -318,6 +354,7 @@ std::string session_summary_json(const SessionResult& result) {
   summary["grasped_error_mm"] = number(result.errors.grasped_mm);
   summary["named_error_mm"] = number(result.errors.named_mm);
   summary["silhouette_iou"] = number(result.errors.iou);
+  summary["coverage"] = number(result.errors.coverage);
   for (const int limit : kSuccessLimitsMm)
     summary[success_key(limit)] = has_correspondence ? ordered_json(succeeds(result.error_mm, limit)) : ordered_json();
   summary["segments"] = result.rounds.size();
@@ -346,12 +383,18 @@ std::string session_summary_json(const SessionResult& result) {
   for (const auto& estimate : result.estimates) estimate_ended.push_back(to_json(estimate.ended));
   summary["estimate_ended"] = estimate_ended;
   summary["max_grasp_strain"] = result.max_grasp_strain ? ordered_json(*result.max_grasp_strain) : ordered_json();
+  const HandMotion& hands = result.hands;
+  summary["hands"] = {{"speed_m_per_s", hands.speed},
+                      {"acceleration_m_per_s2", hands.acceleration},
+                      {"distance_m", std::isfinite(hands.distance) ? ordered_json(hands.distance) : ordered_json()},
+                      {"outside_m", hands.outside}};
   summary["knowledge"] = knowledge;
   if (!result.estimates.empty()) {
     const auto& last = result.estimates.back().knowledge;
     summary["final_knowledge"] = {{"centre", list(last.centre)}, {"width", list(last.width)}};
   }
   summary["true_material"] = result.true_material ? ordered_json(list(*result.true_material)) : ordered_json();
+  if (result.trials.size() > 1) summary["trials"] = trials_json(result.trials);
   summary["world"] = nullptr;
   if (result.world) {
     auto factors = ordered_json::object();
@@ -397,7 +440,7 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   file.write("/garment/grasp_vertices", {static_cast<Index>(held.size())}, held.data());
   file.write("/start", result.start);
   if (result.goal.rows() > 0)
-    file.write("/goal", result.goal);
+    write_goal(file, result.goal, result.goal_counts);
   else
     write_goal_surface(file, *result.surface);
   file.write("/default_shape", result.default_shape);
@@ -457,6 +500,7 @@ SessionRecord read_session(const std::filesystem::path& path) {
   record.start = in.positions("/start", vertices);
   if (in.has("/goal")) {
     record.goal = in.positions("/goal", vertices);
+    if (in.has("/goal_vertices")) record.goal_counts = read_goal_vertices(in, vertices);
     record.goal_faces = record.faces;
   } else {
     read_goal_surface(in, record);

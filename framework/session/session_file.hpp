@@ -44,15 +44,16 @@ struct SessionRecord {
   Positions start, default_shape, final_shape;  ///< [V, 3] m
   bool has_correspondence = true;               ///< whether the goal's vertices are the garment's
   GoalKind goal_kind = GoalKind::surface;
-  Positions goal;    ///< [V, 3] m; without correspondence the goal's own vertices, [G, 3]
-  Faces goal_faces;  ///< of the goal: those of the garment, or its own; 0 rows for points
+  Positions goal;                 ///< [V, 3] m; without correspondence the goal's own vertices, [G, 3]
+  std::vector<bool> goal_counts;  ///< [V]: vertices that count in the errors; empty: all
+  Faces goal_faces;               ///< of the goal: those of the garment, or its own; 0 rows for points
   std::optional<MaterialProperties> true_material;  ///< nullopt: unknown
   std::vector<Positions> frames;  ///< [12 segments + 1 + settle_frames()]: start, segments, release and settling
   std::vector<RoundRecord> rounds;
   std::vector<MaterialKnowledge> estimates;  ///< [segments]: after each of them; empty without estimation
 
   Index vertex_count() const { return start.rows(); }
-  /// How far a shape is from the goal, mm: mean vertex distance, without correspondence GoalSurface::chamfer_mm().
+  /// How far a shape is from the goal, mm: mean distance of the vertices that count, without correspondence GoalSurface::chamfer_mm().
   double goal_distance_mm(const Positions& shape) const;
   /// The same of every vertex, [V], mm; without correspondence from the nearest point of the goal.
   Vector vertex_distances_mm(const Positions& shape) const;
@@ -78,6 +79,8 @@ SessionRecord read_session(const std::filesystem::path& file);
 
 /// summary.json: the keys of docs/file-formats.md. Its times are apart, in session_times_json().
 std::string session_summary_json(const SessionResult& result);
+/// summary.json of a sequence: the errors of every step, in its folder step_1, step_2, ...
+std::string sequence_summary_json(const SessionResult& result);
 /// The times of summary.json, for times.json.
 std::string session_times_json(const SessionResult& result);
 /// session.h5. @param resolved the resolved config; @param provenance version, commit, plugins.

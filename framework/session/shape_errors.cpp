@@ -149,6 +149,20 @@ double silhouette_area(const Positions& shape, const Faces& faces, double cell) 
   return static_cast<double>(cells) * cell * cell;
 }
 
+double coverage(const Positions& shape, const Garment& garment, double cell) {
+  return silhouette_area(shape, garment.faces, cell) / silhouette_area(garment.positions, garment.faces, cell);
+}
+
+double mean_distance_mm(const Positions& shape, const Positions& goal, const std::vector<bool>& counts) {
+  if (counts.empty()) return mean_distance_mm(shape, goal);
+  require_shape("mean distance: vertices", shape.rows(), goal.rows());
+  require_shape("mean distance: counts", counts.size(), goal.rows());
+  double sum = 0.0, count = 0.0;
+  for (Index v = 0; v < shape.rows(); ++v)
+    if (counts[v]) sum += (shape.row(v) - goal.row(v)).norm(), count += 1.0;
+  return count > 0.0 ? 1000.0 * sum / count : kNone;
+}
+
 ShapeErrors shape_errors(const Positions& shape, const Positions& goal, const Task& task,
                          const std::vector<bool>& seen) {
   require_shape("shape errors: vertices", shape.rows(), goal.rows());
@@ -170,6 +184,7 @@ ShapeErrors shape_errors(const Positions& shape, const Positions& goal, const Ta
   for (const auto& [name, vertex] : task.garment->vertices) named.insert(vertex);
   errors.named_mm = mean_over(named);
   errors.iou = silhouette_iou(shape, goal, task.garment->faces);
+  errors.coverage = coverage(shape, *task.garment);
   return errors;
 }
 

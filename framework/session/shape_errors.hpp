@@ -15,6 +15,7 @@ struct ShapeErrors {
   double named_mm = 0.0;    ///< mean over the garment's named vertices; NaN: none
                             ///< of them was seen
   double iou = 0.0;         ///< silhouette_iou()
+  double coverage = 0.0;    ///< coverage()
 };
 
 /// @param shape, goal [V, 3] m. @param seen [V]: vertices that count; empty:
@@ -22,6 +23,9 @@ struct ShapeErrors {
 /// ShapeError.
 ShapeErrors shape_errors(const Positions& shape, const Positions& goal, const Task& task,
                          const std::vector<bool>& seen = {});
+
+/// Mean distance of the vertices that count, mm; NaN: none does. @param counts [V]; empty: all. @throws ShapeError.
+double mean_distance_mm(const Positions& shape, const Positions& goal, const std::vector<bool>& counts);
 
 /// Limits of the mean vertex error, mm, below which a fold counts as a success.
 inline constexpr std::array<int, 3> kSuccessLimitsMm = {10, 20, 30};
@@ -39,6 +43,8 @@ double silhouette_iou(const Positions& a, const Faces& faces_a, const Positions&
                       double cell = 0.001);
 /// Of two shapes of one mesh. @throws ShapeError for different numbers of vertices.
 double silhouette_iou(const Positions& a, const Positions& b, const Faces& faces, double cell = 0.001);
+/// The area that a shape covers, seen from above, as a share of that of the flat garment: 1 if it lies flat.
+double coverage(const Positions& shape, const Garment& garment, double cell = 0.001);
 /// Area of the silhouette, m^2; NaN for a shape that is further than 100 m from the origin.
 double silhouette_area(const Positions& shape, const Faces& faces, double cell = 0.001);
 

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "simulation/start_shape.hpp"
+
 namespace weft {
 
 /// A simulator that nobody uses now, and the material it was last reset with.
@@ -31,12 +33,11 @@ class Twin::Lease {
 
   Simulator& operator*() const { return *mine_.simulator; }
   Simulator* operator->() const { return mine_.simulator.get(); }
-  /// The flat garment, held by the hands.
+  /// The garment at the start, held by the hands.
   void reset(const MaterialProperties& material) {
     const Task& task = owner_.task_;
     mine_.material.reset();
-    mine_.simulator->reset(task.garment, task.material.at(material), task.scene);
-    mine_.simulator->grasp(task.manipulation.grasp_vertices);
+    begin(*mine_.simulator, task, task.material.at(material));
     mine_.material = material;
   }
   bool has(const MaterialProperties& material) const { return mine_.material == material; }

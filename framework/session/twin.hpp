@@ -19,7 +19,7 @@ struct TwinState {
   std::shared_ptr<const SimulatorSnapshot> snapshot;
 };
 
-/// A sequence of controls, simulated from the flat garment.
+/// A sequence of controls, simulated from start().
 struct TwinSequence {
   std::vector<Positions> shapes;  ///< after every segment; the last one settled if it is released
   TwinState end;                  ///< after the last segment; not if it is released
@@ -35,7 +35,7 @@ class Twin {
   Twin(const Task& task, const ConfigNode& simulator, Host& host);
   ~Twin();
 
-  /// The flat garment at rest, at the height of its thickness.
+  /// The flat garment at rest, at the height of its thickness; or Task::start.
   TwinState start(const MaterialProperties& material) const;
   /// One segment later. @param control [C]. @throws Diverged.
   TwinState advance(const TwinState& from, ConstVec control) const;

@@ -91,6 +91,8 @@ Task world_task(const Task& task, const WorldParams& params, std::uint64_t seed)
   if (params.spread > 0.0)
     world.material.nominal = changed(task.material.nominal, draw_factors(task.material.nominal, params, seed));
   if (!params.simulator.is_null()) world.simulator = params.simulator;
+  if (task.start)
+    world.start = std::make_shared<const StartShape>(StartShape{task.start->world, task.start->world, {}});
   return world;
 }
 

@@ -40,8 +40,8 @@ struct WorldRecord {
   std::vector<std::pair<std::string, double>> factors;
 };
 
-/// The task as it is in the world: its nominal fabric and its simulator are the world's. With the default parameters it
-/// is `task`. The properties friction, bend, stretch and thickness keep their ranges.
+/// The task as it is in the world: its nominal fabric and its simulator are the world's. The cloth
+/// starts where it is (StartShape::world). With the default parameters all else is that of `task`. The properties friction, bend, stretch and thickness keep their ranges.
 Task world_task(const Task& task, const WorldParams& params, std::uint64_t seed);
 /// What world_task() changed; nullopt: nothing.
 std::optional<WorldRecord> world_record(const Task& task, const WorldParams& params, std::uint64_t seed);

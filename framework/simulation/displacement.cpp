@@ -8,6 +8,7 @@ namespace weft {
 DisplacementResult tune_displacement(const Task& task, Simulator& simulator, const MaterialProperties& material,
                                      double tolerance_m) {
   const Eigen::Vector2d direction = Eigen::Vector2d(task.manipulation.displacement).normalized();
+  if (task.start) throw ConfigError("displacement: takes a flat garment; leave start.session out");
   const auto& rest = task.garment->positions;
   const Vector along = rest.leftCols<2>() * direction;
   const double middle = 0.5 * (along.minCoeff() + along.maxCoeff());

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "simulation/start_shape.hpp"
+
 namespace weft {
 
 void continue_fold(Simulator& simulator, const Task& task, Vector state, const Controls& controls, FoldResult& result) {
@@ -28,8 +30,7 @@ void continue_fold(Simulator& simulator, const Task& task, Vector state, const C
 FoldResult simulate_fold(Simulator& simulator, const Task& task, const MaterialProperties& material,
                          const Controls& controls) {
   FoldResult result;
-  simulator.reset(task.garment, task.material.at(material), task.scene);
-  simulator.grasp(task.manipulation.grasp_vertices);
+  begin(simulator, task, task.material.at(material));
   const Vector state = task.trajectory->initial_state(task.manipulation);
   result.states = state.transpose();
   result.shapes.push_back(simulator.positions());

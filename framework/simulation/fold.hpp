@@ -5,7 +5,7 @@
 
 namespace weft {
 
-/// The result of one fold, from the flat garment to release (or to the last segment) and settling.
+/// The result of one fold, from where the task begins to release (or to the last segment) and settling.
 struct FoldResult {
   std::vector<Positions> shapes;  ///< [segments + 1]: at the start and after every segment; the last one settled
   Controls states;                ///< [segments + 1, S]

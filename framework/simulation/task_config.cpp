@@ -2,7 +2,9 @@
 
 #include <cmath>
 
+#include "simulation/hand_limits.hpp"
 #include "simulation/simulator_warnings.hpp"
+#include "simulation/start_shape.hpp"
 #include "simulation/surroundings.hpp"
 #include "weft/config.hpp"
 
@@ -14,7 +16,32 @@ Length property_list() {
   return {kPropertyNames.size(), entries};
 }
 
-Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
+namespace {
+
+HandLimits read_limits(const TaskParams::Hands::Limits& params, const ConfigNode& origin,
+                       const Positions& grasp_points) {
+  HandLimits limits;
+  if (params.speed_m_per_s > 0.0) limits.speed = params.speed_m_per_s;
+  if (params.acceleration_m_per_s2 > 0.0) limits.acceleration = params.acceleration_m_per_s2;
+  limits.distance = params.distance_m;
+  if (!params.workspace_m.empty()) {
+    require_shape("task: workspace", params.workspace_m.size(), 6);
+    limits.lower = Eigen::Map<const Eigen::Vector3d>(params.workspace_m.data());
+    limits.upper = Eigen::Map<const Eigen::Vector3d>(params.workspace_m.data() + 3);
+  }
+  const HandMotion start = HandMotionMeter(limits, grasp_points, {}).motion();
+  const auto number = [](double metres) { return ConfigNode::number(metres).as_string() + " m"; };
+  if (start.outside > 0.0)
+    place(origin, "workspace_m").fail("does not hold a grasped vertex: it is " + number(start.outside) + " outside");
+  if (start.distance < limits.distance)
+    must_be(place(origin, "distance_m"), "at most the distance of the grasped vertices, " + number(start.distance));
+  return limits;
+}
+
+}  // namespace
+
+Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
+               std::shared_ptr<const StartShape> start) {
   Task task;
   task.garment =
       std::make_shared<const Garment>(read_garment(params.garment.is_null() ? origin.at("garment") : params.garment));
@@ -27,6 +54,12 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   task.scene.ground_height = read_ground(params.scene.ground);
   task.scene.obstacles = read_obstacles(params.scene.obstacles);
 
+  task.start = std::move(start);
+  if (!task.start && !params.start.session.empty())
+    task.start = blaming(place(origin, "start.session"), [&] {
+      return std::make_shared<const StartShape>(read_start(params.start.session, *task.garment));
+    });
+
   auto& manipulation = task.manipulation;
   if (std::ssize(params.manipulation.grasp) != task.trajectory->hands()) {
     const auto hands = std::to_string(task.trajectory->hands());
@@ -36,7 +69,8 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {
     manipulation.grasp_vertices.push_back(blaming(place(origin, "manipulation.grasp." + std::to_string(i)),
                                                   [&] { return task.garment->vertex(params.manipulation.grasp[i]); }));
-    manipulation.grasp_points.row(i) = task.garment->positions.row(manipulation.grasp_vertices.back());
+    const Positions& shape = task.start ? task.start->shape : task.garment->positions;
+    manipulation.grasp_points.row(i) = shape.row(manipulation.grasp_vertices.back());
   }
   const ConfigNode displacement = place(origin, "manipulation.displacement_m");
   const std::string remedy = "; its direction is that of the fold, and `weft displacement` tunes its length";
@@ -48,14 +82,17 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host) {
   const auto& thickness = task.material.ranges[3];
   const double thickest = std::max(thickness.low, thickness.high);
   manipulation.contact_height = task.scene.ground_height.value_or(0.0) + thickest;
-  if (!task.scene.obstacles.empty()) {
-    const Positions start =
+  if (task.start) {
+    manipulation.contact_height = std::max(manipulation.contact_height, manipulation.grasp_points.col(2).maxCoeff());
+  } else if (!task.scene.obstacles.empty()) {
+    const Positions lying =
         blaming(place(origin, "scene.obstacles"), [&] { return start_positions(*task.garment, task.scene, thickest); });
-    manipulation.contact_height = start(manipulation.grasp_vertices.front(), 2);
+    manipulation.contact_height = lying(manipulation.grasp_vertices.front(), 2);
     for (const Index vertex : manipulation.grasp_vertices)
-      manipulation.contact_height = std::max(manipulation.contact_height, start(vertex, 2));
+      manipulation.contact_height = std::max(manipulation.contact_height, lying(vertex, 2));
   }
   manipulation.grasp_points.col(2).setConstant(manipulation.contact_height);
+  task.hands = read_limits(params.manipulation.limits, place(origin, "manipulation.limits"), manipulation.grasp_points);
   try {
     task.trajectory->initial_state(manipulation);  // refuses a bad manipulation, such as |d| = 0, before any work
   } catch (const ConfigError& error) {

@@ -1,4 +1,8 @@
 #pragma once
+#include <filesystem>
+#include <string>
+#include <vector>
+
 #include "weft/host.hpp"
 #include "weft/params.hpp"
 #include "weft/task.hpp"
@@ -19,6 +23,19 @@ struct TaskParams {
     std::vector<std::string> grasp = {"left_sleeve_top", "left_body_bottom"};
     std::vector<double> displacement_m;
     double drop_height_m = 0.05;
+    struct Limits {
+      double speed_m_per_s = 0.0, acceleration_m_per_s2 = 0.0, distance_m = 0.0;
+      std::vector<double> workspace_m;
+      template <class Visitor>
+      void visit(Visitor& v) {
+        v("speed_m_per_s", speed_m_per_s, range(0, 100, "m/s"), "Largest speed of a hand; 0: any.");
+        v("acceleration_m_per_s2", acceleration_m_per_s2, range(0, 1e4, "m/s^2"),
+          "Largest acceleration of a hand, from frame to frame; 0: any. The hands start at rest.");
+        v("distance_m", distance_m, range(0, 10, "m"), "Least distance of the two hands.");
+        v("workspace_m", workspace_m, range(-100, 100, "m"),
+          "Corners of the box that the hands stay in; default: none.", Length{6, "least x, y, z, largest x, y, z"});
+      }
+    } limits;
     template <class Visitor>
     void visit(Visitor& v) {
       v("grasp", grasp, "Names of the two held vertices: the paper's g_0.");
@@ -26,8 +43,17 @@ struct TaskParams {
         "d: displacement of the grasp points' midpoint; `weft displacement` tunes its length.", Length{2, "x, y"});
       v("drop_height_m", drop_height_m, range(0, 1, "m"),
         "h: height of the grasp points above contact at 180 degrees.");
+      v.group("limits", limits,
+              "What the hands can do. Plans are penalised for more, and what still exceeds is slowed or moved.");
     }
   } manipulation;
+  struct Start {
+    std::filesystem::path session;
+    template <class Visitor>
+    void visit(Visitor& v) {
+      v("session", session, "A recorded session (session.h5) of the same garment: the cloth starts where it ended.");
+    }
+  } start;
   struct World {
     std::vector<double> gravity_m_per_s2 = {0.0, 0.0, -9.81};
     ConfigNode ground, obstacles;
@@ -58,6 +84,7 @@ struct TaskParams {
     v("simulator", simulator, PluginSlot{"simulator"}, "Simulator plugin of the executed fold.");
     v("trajectory", trajectory, PluginSlot{"trajectory"}, "Trajectory plugin.");
     v.group("manipulation", manipulation, "What the hands hold and where they move it.");
+    v.group("start", start, "Where the cloth lies at the beginning; default: flat.");
     v.group("scene", scene, "The world around the cloth.");
     v.group("settle", settle, "When the released cloth counts as settled.");
   }
@@ -66,8 +93,10 @@ struct TaskParams {
 /// Builds the task: loads the garment and the material space, makes the trajectory.
 /// The manipulation's contact height is that of the thickest cloth in the material space.
 /// @param params from read_params(); @param origin the node they were read from, for messages.
-/// @throws ConfigError, PluginError.
-Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host);
+/// @param start where the cloth lies, in place of `params.start`; null: as that says.
+/// @throws ConfigError, PluginError; also for hands that are outside their limits where they grasp.
+Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
+               std::shared_ptr<const StartShape> start = nullptr);
 
 /// Makes the simulator, resets it with the task's garment and the fabric in the middle of its range, and logs its
 /// warnings. So a wrong or unsuitable simulator is reported before any work.

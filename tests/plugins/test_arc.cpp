@@ -56,6 +56,22 @@ TEST(Arc, StartsAtTheGraspPoints) {
     EXPECT_LT((arc.targets(m, arc.initial_state(m)) - m.grasp_points).cwiseAbs().maxCoeff(), 1e-15);
 }
 
+TEST(Arc, OneHandMovesAsTheMidpointOfTwo) {
+  Params one_hand;
+  one_hand.hands = 1;
+  const Arc one(one_hand), two(Params{});
+  const Manipulation both = skew();
+  Manipulation m = both;
+  m.grasp_vertices = {3};
+  m.grasp_points = both.grasp_points.colwise().mean();
+  EXPECT_EQ(one.hands(), 1);
+  for (const double theta : {0.0, 50.0, 180.0}) {
+    const Vector s = vec({theta, 0.2, 12.0, 0.1, -0.3});
+    EXPECT_TRUE(one.targets(m, s).isApprox(two.targets(both, s).colwise().mean(), 1e-12)) << theta;
+  }
+  EXPECT_THROW(one.targets(both, vec({0.0, 0.2, 0.0, 0.0, 0.0})), ShapeError);
+}
+
 TEST(Arc, PositionsAtNinetyDegrees) {
   // u = 0 - 0.3; cos = 0, sin = 1: over the fold line, at height 0.3 + h/2.
   const Positions g = Arc(Params{}).targets(straight(), vec({90.0, 0.3, 0.0, 0.3, 0.0}));

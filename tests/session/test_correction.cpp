@@ -131,6 +131,38 @@ TEST_F(Correction, TheTwinFollowsAClothThatItDoesNotKnow) {
   EXPECT_LT(pulled, 0.6 * never_pulled);
 }
 
+TEST_F(Correction, TrialsLearnWhatTheSimulationMisses) {
+  // Planner and twin believe in another fabric, and nobody estimates it.
+  const std::vector<std::string> mistaken = {"knowledge=given",
+                                             "given_centre=[0.4, 0.45, 0.6, 0.5]",
+                                             "given_width=[0.1, 0.1, 0.1, 0.1]",
+                                             "predictor={plugin: rollout}",
+                                             "planning.iterations=2",
+                                             "planning.instances=1"};
+  double first = 0.0, last = 0.0;
+  for (const char* goal : {"[2.3, 0, 0.1, 0, 0]", "[2, 0, -0.1, 0.0003, 0]"}) {
+    const auto asked = with(mistaken, {std::string("goal.controls=") + goal, "trials=3"});
+    const SessionResult result = corrected(asked);
+    ASSERT_EQ(result.trials.size(), 3u);
+    for (const auto& trial : result.trials) EXPECT_TRUE(trial.released);
+    EXPECT_EQ(result.trials.back().error_mm, result.error_mm);
+    EXPECT_EQ(result.trials.front().error_mm, corrected(with(asked, {"trials=1"})).error_mm)
+        << "nothing is known before";
+    first += result.trials.front().error_mm;
+    last += result.trials.back().error_mm;
+  }
+  EXPECT_GT(first, 2.0);
+  EXPECT_LT(last, 0.6 * first);
+}
+
+TEST_F(Correction, TrialsThatWouldLearnNothingAreRefused) {
+  EXPECT_THAT(test::message_of<ConfigError>([&] { run({"trials=2"}); }), HasSubstr("nothing would be learned"));
+  EXPECT_THAT(test::message_of<ConfigError>([&] {
+                corrected({"trials=2", "correction.time_budget_s=1"});
+              }),
+              HasSubstr("1 with a time budget"));
+}
+
 TEST_F(Session, EstimatesByTheSimulatorFindTheMaterial) {
   const std::vector<std::string> wrong =
       with(with(kWrong, kEstimate),

@@ -7,6 +7,7 @@
 #include "loader/program_host.hpp"
 #include "meshes/mesher.hpp"
 #include "session/session.hpp"
+#include "session/session_file.hpp"
 #include "simulation/task_config.hpp"
 #include "unit/test_support.hpp"
 
@@ -37,19 +38,27 @@ class Session : public testing::Test {
     folder_.write("towel.yaml", "name: towel\nmesh: towel.obj\nvertices:\n" + vertices);
   }
 
-  /// The task of the last run's file.
+  /// The task of the last run.
   Task task() {
-    const ConfigNode config = ConfigNode::load(folder_ / "task.yaml");
     SessionParams params;
-    read_params(config, params);
+    read_params(config_, params);
     const auto registry = std::make_shared<PluginRegistry>();
-    return make_task(params.task, config, *make_host(registry, {.threads = 1}));
+    return make_task(params.task, config_, *make_host(registry, {.threads = 1}));
+  }
+
+  /// Writes the result of the last run.
+  void record(const std::filesystem::path& file, const SessionResult& result) {
+    SessionParams params;
+    read_params(config_, params);
+    const auto host = make_host(std::make_shared<PluginRegistry>(), {.threads = 1});  // lives longer than the task
+    write_session(file, result, make_task(params.task, config_, *host), resolved_, "{}");
   }
 
   /// @param overrides as for --set.
   SessionResult run(const std::vector<std::string>& overrides = {}, int threads = 2) {
     ConfigNode config = ConfigNode::load(folder_.write("task.yaml", task_text()));
     for (const auto& assignment : overrides) config = apply_override(config, assignment);
+    config_ = config;
     SessionParams params;
     resolved_ = read_params(config, params);
     const auto registry = std::make_shared<PluginRegistry>();
@@ -58,7 +67,7 @@ class Session : public testing::Test {
   }
 
   test::Folder folder_;
-  ConfigNode resolved_;
+  ConfigNode config_, resolved_;  // of the last run
 };
 
 inline const std::vector<std::string> kEstimate = {"knowledge=estimate", "planning.iterations=1",

@@ -113,7 +113,7 @@ struct PredictorCapabilities {
 class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
-  static constexpr int kVersion = 9;  // bump on any change to this class, the types above or trainable.hpp
+  static constexpr int kVersion = 10;  // bump on any change to this class, the types above or trainable.hpp
   static constexpr TypeSize kCrossing[] = {{"Task", sizeof(Task)},
                                            {"PredictionCase", sizeof(PredictionCase)},
                                            {"PredictionRequest", sizeof(PredictionRequest)},

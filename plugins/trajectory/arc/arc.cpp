@@ -24,8 +24,8 @@ struct Turn {
   double cos, sin;
 };
 
-void check(const Manipulation& m, double r_min) {
-  require_shape("arc: manipulation.grasp_points rows", m.grasp_points.rows(), 2);
+void check(const Manipulation& m, Index hands, double r_min) {
+  require_shape("arc: manipulation.grasp_points rows", m.grasp_points.rows(), hands);
   const double length = m.displacement.norm();
   if (!(length >= 2.0 * r_min) || !std::isfinite(length)) {
     std::ostringstream text;
@@ -40,8 +40,9 @@ void check(const Manipulation& m, double r_min) {
 struct Frame {
   explicit Frame(const Manipulation& m) {
     d = m.displacement / m.displacement.norm();
-    centre = 0.5 * (m.grasp_points.row(0) + m.grasp_points.row(1)).head<2>().transpose();
-    for (int i = 0; i < 2; ++i) {
+    const Index hands = m.grasp_points.rows();
+    centre = (m.grasp_points.colwise().sum() / static_cast<double>(hands)).head<2>().transpose();
+    for (Index i = 0; i < hands; ++i) {
       const Vec2 offset = m.grasp_points.row(i).head<2>().transpose() - centre;
       delta[i] = offset.dot(d);
       eps[i] = d.x() * offset.y() - d.y() * offset.x();
@@ -49,7 +50,7 @@ struct Frame {
   }
   Vec2 d;  // unit
   Vec2 centre;
-  double delta[2], eps[2];
+  double delta[2] = {}, eps[2] = {};
 };
 
 Vec2 turned(const Vec2& v, const Turn& t) { return {t.cos * v.x() - t.sin * v.y(), t.sin * v.x() + t.cos * v.y()}; }
@@ -75,7 +76,7 @@ std::vector<Variable> Arc::state() const {
 }
 
 Vector Arc::initial_state(const Manipulation& m) const {
-  check(m, p_.r_min_m);
+  check(m, p_.hands, p_.r_min_m);
   const Frame f(m);
   Vector s(kSize);
   s << 0.0, 0.5 * m.displacement.norm(), 0.0, f.centre + 0.5 * m.displacement;
@@ -102,14 +103,14 @@ void Arc::advance_pullback(const Manipulation&, ConstVec state, ConstVec control
 
 Positions Arc::targets(const Manipulation& m, ConstVec state) const {
   require_shape("arc: state", state.size(), kSize);
-  check(m, p_.r_min_m);
+  check(m, p_.hands, p_.r_min_m);
   const Frame f(m);
   const Vec2 d = turned(f.d, Turn(state[kPhi]));
   const Vec2 t_axis = quarter(d);
   const Turn t(std::clamp(state[kTheta], 0.0, 180.0));
   const double r = std::max(state[kR], p_.r_min_m);
-  Positions g(2, 3);
-  for (int i = 0; i < 2; ++i) {
+  Positions g(p_.hands, 3);
+  for (Index i = 0; i < p_.hands; ++i) {
     const double u = f.delta[i] - r;
     const double z = -t.sin * u + 0.5 * m.drop_height * (1.0 - t.cos);
     g.row(i).head<2>() = (state.segment<2>(kAx) + t.cos * u * d + f.eps[i] * t_axis).transpose();
@@ -120,8 +121,8 @@ Positions Arc::targets(const Manipulation& m, ConstVec state) const {
 
 Vector Arc::targets_pullback(const Manipulation& m, ConstVec state, const Positions& d_targets) const {
   require_shape("arc: state", state.size(), kSize);
-  require_shape("arc: d_targets rows", d_targets.rows(), 2);
-  check(m, p_.r_min_m);
+  require_shape("arc: d_targets rows", d_targets.rows(), p_.hands);
+  check(m, p_.hands, p_.r_min_m);
   const Frame f(m);
   const Vec2 d = turned(f.d, Turn(state[kPhi]));
   const Vec2 t_axis = quarter(d);
@@ -131,7 +132,7 @@ Vector Arc::targets_pullback(const Manipulation& m, ConstVec state, const Positi
   const double r_inside = state[kR] >= p_.r_min_m ? 1.0 : 0.0;
 
   Vector out = Vector::Zero(kSize);
-  for (int i = 0; i < 2; ++i) {
+  for (Index i = 0; i < p_.hands; ++i) {
     const double u = f.delta[i] - r;
     const double z = -t.sin * u + 0.5 * m.drop_height * (1.0 - t.cos);
     const Vec2 w = d_targets.row(i).head<2>().transpose();
