@@ -659,7 +659,8 @@ TEST(Program, PluginsListsEveryShippedPlugin) {
     names += entry.at("kind").get<std::string>() + "/" + entry.at("name").get<std::string>() + " ";
   }
   for (const char* name : {"simulator/cloth", "predictor/rollout", "trajectory/arc", "trajectory/spline",
-                           "optimiser/rprop", "optimiser/ceres", "optimiser/nlopt", "optimiser/mppi"}) {
+                           "trajectory/fling", "trajectory/drag", "trajectory/keyframes", "optimiser/rprop",
+                           "optimiser/ceres", "optimiser/nlopt", "optimiser/mppi"}) {
     EXPECT_THAT(names, HasSubstr(name));
   }
 }
