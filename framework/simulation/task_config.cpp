@@ -63,7 +63,9 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
   auto& manipulation = task.manipulation;
   if (std::ssize(params.manipulation.grasp) != task.trajectory->hands()) {
     const auto hands = std::to_string(task.trajectory->hands());
-    must_be(place(origin, "manipulation.grasp"), hands + " named vertices: the trajectory drives " + hands + " hands");
+    must_be(place(origin, "manipulation.grasp"),
+            hands == "1" ? "1 named vertex: the trajectory drives 1 hand"
+                         : hands + " named vertices: the trajectory drives " + hands + " hands");
   }
   manipulation.grasp_points.resize(task.trajectory->hands(), 3);
   for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {

@@ -303,6 +303,7 @@ TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
       {{"planning.vertices=[99999]"}, "--set: planning.vertices.0 = 99999, must be a vertex in [0, "},
       {{"planning.vertex_weights=[1]"}, "--set: planning.vertex_weights has 1 numbers, must have "},
       {{"manipulation.grasp=[left_top]"}, "--set: manipulation.grasp = [left_top], must be 2 named vertices"},
+      {{"trajectory={plugin: drag, params: {hands: 1}}"}, "], must be 1 named vertex: the trajectory drives 1 hand"},
       {{"manipulation.grasp=[left_botom, left_top]"}, "--set: manipulation.grasp.0 = left_botom: garment towel: "},
       {{"manipulation.displacement_m=[1]"}, "--set: manipulation.displacement_m = [1], must be a list of 2 numbers"},
       {{"manipulation.displacement_m=[0, 0]"}, "--set: manipulation.displacement_m = [0, 0]: arc: |d| = 0 m"},
