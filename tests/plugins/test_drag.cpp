@@ -9,7 +9,7 @@
 namespace weft::drag {
 namespace {
 
-enum Shape : Index { kS, kH, kA, kO, kL, kPhi };
+enum Shape : Index { kS, kH, kA, kO, kL, kPhi, kSize };
 
 /// Grasp points 0.4 m apart along y at x = 0, d = 0.6 m along +x.
 Manipulation straight() {
@@ -118,7 +118,7 @@ TEST(Drag, HandsKeepTheirDistance) {
 
 TEST(Drag, OneHandFollowsTheMidpoint) {
   Params one;
-  one.hands = 1;
+  one.path.hands = 1;
   Manipulation m = straight(), left = m;
   left.grasp_vertices = {0};
   left.grasp_points = m.grasp_points.topRows(1);
@@ -289,10 +289,10 @@ TEST(Drag, RefusesWhatItCannotDo) {
   m.displacement = {std::numeric_limits<double>::quiet_NaN(), 0.0};
   EXPECT_THROW(drag.targets(m, s), ConfigError);
   Params params;
-  params.duration_s = 0.5;
+  params.path.duration_s = 0.5;
   EXPECT_THROW(Drag{params}, ConfigError) << "shorter than duration_min_s";
   params = {};
-  params.duration_max_s = 1.9;
+  params.path.duration_max_s = 1.9;
   EXPECT_THROW(Drag{params}, ConfigError);
 }
 

@@ -175,7 +175,7 @@ TEST(Keyframes, SplinesAreSmoothAndStartAndEndAtRest) {
 
 TEST(Keyframes, OneHandFollowsTheMidpoint) {
   Params one;
-  one.hands = 1;
+  one.path.hands = 1;
   Manipulation m = straight(), left = m;
   left.grasp_vertices = {0};
   left.grasp_points = m.grasp_points.topRows(1);
@@ -252,8 +252,8 @@ TEST(Keyframes, PathDoesNotDependOnThePace) {
 
 TEST(Keyframes, AFastFoldWithOneHandTakesThreeSegments) {
   Params p;
-  p.hands = 1;
-  p.duration_s = 0.6;
+  p.path.hands = 1;
+  p.path.duration_s = 0.6;
   const Keyframes keyframes(p);
   Manipulation m = straight();
   m.grasp_vertices = {0};
@@ -354,10 +354,10 @@ TEST(Keyframes, RefusesWhatItCannotDo) {
   m.displacement = {std::numeric_limits<double>::quiet_NaN(), 0.0};
   EXPECT_THROW(keyframes.targets(m, s), ConfigError);
   Params params;
-  params.duration_s = 0.3;
+  params.path.duration_s = 0.3;
   EXPECT_THROW(Keyframes{params}, ConfigError) << "shorter than duration_min_s";
   params = {};
-  params.duration_max_s = 1.5;
+  params.path.duration_max_s = 1.5;
   EXPECT_THROW(Keyframes{params}, ConfigError);
   params = {};
   params.times = {0.2, 0.2, 0.8};
@@ -368,7 +368,7 @@ TEST(Keyframes, RefusesWhatItCannotDo) {
   params.up_m = {0.1};
   EXPECT_THROW(Keyframes{params}, ConfigError);
   params = with_turns();
-  params.hands = 1;
+  params.path.hands = 1;
   EXPECT_THROW(Keyframes{params}, ConfigError) << "one hand has no heading";
 }
 

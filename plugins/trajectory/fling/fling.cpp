@@ -1,218 +1,44 @@
 #include "fling.hpp"
 
-#include <algorithm>
-#include <cmath>
 #include <numbers>
-#include <sstream>
 
 namespace weft::fling {
 namespace {
 
-constexpr Index kSize = 6;  // of state, control and decision vector
-enum : Index { kProgress, kHeight, kReach, kPull, kLength, kHeading };
-using Gradient = Eigen::Matrix<double, kSize, 1>;
+enum : Index { kHeight, kReach, kPull, kLength, kHeading };
 constexpr double kRadians = std::numbers::pi / 180.0;
 
 // The swing starts this much before the end of the lift, and the pull before that of laying down.
 constexpr double kOverlap = 0.1;
-// Weight in encode() of a segment that starts after release, when the cloth lies already.
-constexpr double kReleasedWeight = 1e-3;
-
-/// Progress per frame at a duration. Rounding must not cost another segment, so it is larger by a billionth.
-double pace(double duration_s) { return (1.0 + 1e-9) * kFrameSeconds / duration_s; }
-
-/// A step from 0 to 1 over a window of s, and the step over s, which is what a sum of controls is multiplied by.
-struct Move {
-  /// u^3 (10 - 15 u + 6 u^2), u = (s - from) / (to - from) in [0, 1]: the move of the least squared jerk
-  /// [Flash & Hogan 1985]. Velocity and acceleration vanish at both ends. @param from >= 0.
-  Move(double s, double from, double to) {
-    if (s <= from) return;
-    const double u = std::min(1.0, (s - from) / (to - from)), rest = 1.0 - u;
-    step = u * u * u * (10.0 + u * (6.0 * u - 15.0));
-    slope = 30.0 * u * u * rest * rest / (to - from);
-    mean = step / s;
-    mean_slope = (slope - mean) / s;
-  }
-  double step = 0.0, slope = 0.0;       // and its derivative
-  double mean = 0.0, mean_slope = 0.0;  // step / s and its derivative
-};
-
-void check(const Trajectory& trajectory, const Manipulation& m) {
-  check_manipulation("fling", trajectory, m);
-  if (!(m.displacement.norm() > 0.0))
-    throw ConfigError("fling: |d| = 0 (displacement of the grasp points), must be above 0: d is the direction");
-}
-
-Vec2 turned(const Vec2& v, double angle) {
-  const double c = std::cos(angle), s = std::sin(angle);
-  return {c * v.x() - s * v.y(), s * v.x() + c * v.y()};
-}
-Vec2 quarter(const Vec2& v) { return {-v.y(), v.x()}; }  // z x v
-Vec2 midpoint(const Manipulation& m) { return m.grasp_points.leftCols<2>().colwise().mean().transpose(); }
 
 }  // namespace
 
-/// Where the hands are, in the frame of d, and the gradients with respect to the state.
-struct Fling::Pose {
-  double along = 0.0, rise = 0.0, turn = 0.0, widen = 1.0;  // m, m, rad, factor
-  Gradient d_along = Gradient::Zero(), d_rise = Gradient::Zero(), d_turn = Gradient::Zero();
-  double widen_slope = 0.0;
-};
+Fling::Fling(const Params& params)
+    : ParametricPath("fling", params.path,
+                     {{"height", "m", params.height_change_m},
+                      {"reach", "m", params.reach_change_m},
+                      {"pull", "m", params.pull_change_m},
+                      {"length", "m", params.length_change_m},
+                      {"heading", "deg", params.heading_change_deg}}),
+      p_(params) {}
 
-Fling::Fling(const Params& params) : p_(params) {
-  if (p_.duration_min_s <= p_.duration_s && p_.duration_s <= p_.duration_max_s) return;
-  std::ostringstream text;
-  text << "fling: duration_s = " << p_.duration_s << " s, must be in [duration_min_s, duration_max_s] = ["
-       << p_.duration_min_s << ", " << p_.duration_max_s << "]";
-  throw ConfigError(text.str());
-}
+void Fling::path(const Manipulation& m, double s, ConstVec x, PathPoint& q) const {
+  const Profile lift = minimum_jerk(s, 0.0, p_.lift_end), swing = minimum_jerk(s, p_.lift_end - kOverlap, p_.swing_end);
+  const Profile lay = minimum_jerk(s, p_.swing_end, p_.lay_end), pull = minimum_jerk(s, p_.lay_end - kOverlap, 1.0);
+  const double reach = p_.reach_m + x[kReach], back = p_.pull_m + x[kPull];
 
-std::vector<Variable> Fling::controls() const {
-  const double usual = pace(p_.duration_s), fastest = pace(p_.duration_min_s);
-  const auto shape = [&](const char* name, const char* unit, double change) {
-    return Variable{
-        name, unit, -fastest * change, fastest * change, 0.0, usual * p_.shape_scale * std::max(change, 1e-6)};
-  };
-  return {{"ds", "1/frame", pace(p_.duration_max_s), fastest, usual, usual * p_.pace_scale},
-          shape("dheight", "m/frame", p_.height_change_m),
-          shape("dreach", "m/frame", p_.reach_change_m),
-          shape("dpull", "m/frame", p_.pull_change_m),
-          shape("dlength", "m/frame", p_.length_change_m),
-          shape("dheading", "deg/frame", p_.heading_change_deg)};
-}
+  q.along.at = (m.displacement.norm() + x[kLength] + reach) * swing - (reach - back) * lay - back * pull;
+  q.along.by_shape[kReach] = swing.value - lay.value;
+  q.along.by_shape[kPull] = lay.value - pull.value;
+  q.along.by_shape[kLength] = swing.value;
 
-std::vector<Variable> Fling::state() const {
-  // These bounds cover a workspace of 10 m, ten turns and a hundred flings.
-  return {{"s", "1", 0.0, 100.0, 0.0, 0.1},       {"height", "m", -10.0, 10.0, 0.0, 0.1},
-          {"reach", "m", -10.0, 10.0, 0.0, 0.1},  {"pull", "m", -10.0, 10.0, 0.0, 0.1},
-          {"length", "m", -10.0, 10.0, 0.0, 0.1}, {"heading", "deg", -3600.0, 3600.0, 0.0, 10.0}};
-}
+  q.up.at = (p_.height_m + x[kHeight]) * (lift - lay) + m.drop_height * lay;
+  q.up.by_shape[kHeight] = lift.value - lay.value;
 
-Vector Fling::initial_state(const Manipulation& m) const {
-  check(*this, m);
-  return Vector::Zero(kSize);
-}
-
-double Fling::progress(ConstVec state) const {
-  check_state("fling", *this, state);
-  return state[kProgress];
-}
-
-Fling::Pose Fling::pose(const Manipulation& m, ConstVec state) const {
-  const double s = state[kProgress];
-  const Move lift(s, 0.0, p_.lift_end), swing(s, p_.lift_end - kOverlap, p_.swing_end);
-  const Move lay(s, p_.swing_end, p_.lay_end), pull(s, p_.lay_end - kOverlap, 1.0);
-  const double length = m.displacement.norm();
-  const double height = state[kHeight], reach = state[kReach], back = state[kPull];
-
-  Pose q;
-  q.along = (length + p_.reach_m) * swing.step - (p_.reach_m - p_.pull_m) * lay.step - p_.pull_m * pull.step +
-            (state[kLength] + reach) * swing.mean - (reach - back) * lay.mean - back * pull.mean;
-  q.d_along[kProgress] = (length + p_.reach_m) * swing.slope - (p_.reach_m - p_.pull_m) * lay.slope -
-                         p_.pull_m * pull.slope + (state[kLength] + reach) * swing.mean_slope -
-                         (reach - back) * lay.mean_slope - back * pull.mean_slope;
-  q.d_along[kReach] = swing.mean - lay.mean;
-  q.d_along[kPull] = lay.mean - pull.mean;
-  q.d_along[kLength] = swing.mean;
-
-  q.rise = p_.height_m * (lift.step - lay.step) + m.drop_height * lay.step + height * (lift.mean - lay.mean);
-  q.d_rise[kProgress] =
-      p_.height_m * (lift.slope - lay.slope) + m.drop_height * lay.slope + height * (lift.mean_slope - lay.mean_slope);
-  q.d_rise[kHeight] = lift.mean - lay.mean;
-
-  q.turn = kRadians * state[kHeading] * swing.mean;
-  q.d_turn[kProgress] = kRadians * state[kHeading] * swing.mean_slope;
-  q.d_turn[kHeading] = kRadians * swing.mean;
-
-  q.widen = 1.0 + p_.stretch * lift.step;
-  q.widen_slope = p_.stretch * lift.slope;
-  return q;
-}
-
-Positions Fling::targets(const Manipulation& m, ConstVec state) const {
-  check_state("fling", *this, state);
-  check(*this, m);
-  const Pose q = pose(m, state);
-  const Vec2 centre = midpoint(m), d = m.displacement.normalized();
-  Positions g(hands(), 3);
-  for (Index i = 0; i < g.rows(); ++i) {
-    const Vec2 offset = m.grasp_points.row(i).head<2>().transpose() - centre;
-    g.row(i).head<2>() = (centre + turned(q.along * d + q.widen * offset, q.turn)).transpose();
-    g(i, 2) = std::max(m.grasp_points(i, 2) + q.rise, m.contact_height);
-  }
-  return g;
-}
-
-Vector Fling::targets_pullback(const Manipulation& m, ConstVec state, const Positions& d_targets) const {
-  check_state("fling", *this, state);
-  require_shape("fling: d_targets rows", d_targets.rows(), hands());
-  check(*this, m);
-  const Pose q = pose(m, state);
-  const Vec2 centre = midpoint(m), d = m.displacement.normalized();
-  Gradient out = Gradient::Zero();
-  for (Index i = 0; i < d_targets.rows(); ++i) {
-    const Vec2 offset = m.grasp_points.row(i).head<2>().transpose() - centre;
-    // In the frame that turns with the hands.
-    const Vec2 w = turned(d_targets.row(i).head<2>().transpose(), -q.turn);
-    const double wz = m.grasp_points(i, 2) + q.rise >= m.contact_height ? d_targets(i, 2) : 0.0;
-    out += d.dot(w) * q.d_along + quarter(q.along * d + q.widen * offset).dot(w) * q.d_turn + wz * q.d_rise;
-    out[kProgress] += q.widen_slope * offset.dot(w);
-  }
-  return out;
-}
-
-Index Fling::decision_size(Index horizon) const {
-  if (horizon < 0) throw ShapeError("fling: horizon = " + std::to_string(horizon) + ", must be >= 0");
-  return kSize;
-}
-
-Controls Fling::decode(ConstVec x, Index horizon, ConstVec state) const {
-  require_shape("fling: x", x.size(), decision_size(horizon));
-  check_state("fling", *this, state);
-  Vector row = x[0] * x;
-  row[0] = x[0];
-  return row.transpose().replicate(horizon, 1);
-}
-
-Vector Fling::decode_pullback(ConstVec x, Index horizon, ConstVec state, const Controls& d_controls) const {
-  require_shape("fling: x", x.size(), decision_size(horizon));
-  check_state("fling", *this, state);
-  require_shape("fling: d_controls rows", d_controls.rows(), horizon);
-  require_shape("fling: d_controls columns", d_controls.cols(), kSize);
-  const Vector sums = d_controls.colwise().sum().transpose();
-  Vector gradient = x[0] * sums;
-  gradient[0] = sums[0] + x.tail(kSize - 1).dot(sums.tail(kSize - 1));
-  return gradient;
-}
-
-Vector Fling::encode(const Controls& controls, ConstVec state) const {
-  require_shape("fling: controls columns", controls.cols(), kSize);
-  check_state("fling", *this, state);
-  Vector sum = Vector::Zero(kSize);
-  double weights = 0.0, s = state[kProgress];
-  for (Index j = 0; j < controls.rows(); ++j) {
-    const double weight = j > 0 && s >= 1.0 ? kReleasedWeight : 1.0;
-    sum += weight * controls.row(j).transpose();
-    weights += weight;
-    s += static_cast<double>(kFramesPerSegment) * controls(j, 0);
-  }
-  Vector x = Vector::Zero(kSize);
-  if (sum[0] > 0.0) x = sum / sum[0];
-  x[0] = weights > 0.0 ? sum[0] / weights : pace(p_.duration_s);
-  return x;
-}
-
-Box Fling::decision_bounds(Index horizon) const {
-  Box box = Trajectory::decision_bounds(horizon);
-  box.lower.tail(kSize - 1) /= box.upper[0];
-  box.upper.tail(kSize - 1) /= box.upper[0];
-  return box;
-}
-
-Vector Fling::decision_scale(Index horizon) const {
-  Vector scale = Trajectory::decision_scale(horizon);
-  scale.tail(kSize - 1) /= pace(p_.duration_s);
-  return scale;
+  q.heading.at = kRadians * x[kHeading] * swing;
+  q.heading.by_shape[kHeading] = kRadians * swing.value;
+  q.turn = q.heading;  // the hands turn with their path
+  q.spread.at = p_.stretch * lift;
 }
 
 }  // namespace weft::fling
