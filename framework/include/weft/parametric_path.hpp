@@ -79,6 +79,7 @@ struct PathParams {
 /// Decision vector [1 + P] for any horizon: the pace ds and the changes x; every row of the controls is (ds, ds x).
 /// encode() is the least squares fit; segments that start after the release count by 1e-3.
 /// Derivatives are exact. Beyond a clamp they are 0; on it they are those of the inside.
+/// Plugins contain this class, so a change to it bumps Trajectory::kVersion, too.
 class WEFT_API ParametricPath : public Trajectory {
  public:
   std::vector<Variable> controls() const override;
