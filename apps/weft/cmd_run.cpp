@@ -130,7 +130,6 @@ int run(Context& context, const std::string& file) {
                   round.plan.releases ? "" : "  (no release yet)", corrected);
     context.say(line);
   };
-  const std::string provenance = given.provenance(identity);
   const auto done = [&](const SessionStep& step, Index number, const Task& task, const SessionResult& result) {
     ConfigNode saved = given.saved_config();
     if (is_sequence) {
@@ -140,7 +139,9 @@ int run(Context& context, const std::string& file) {
     }
     const auto target = is_sequence ? folder / step_name(number) : folder;
     if (is_sequence) make_folder_for_results(target);
-    write_fold(target, task, repeatable(saved, step, result), result, provenance, given.host->threads());
+    // It names the plugins that were used, so it is made after the fold.
+    write_fold(target, task, repeatable(saved, step, result), result, given.provenance(identity),
+               given.host->threads());
     for (const auto& warning : garment_warnings(*task.garment)) given.host->log(LogLevel::warning, warning);
     for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
     if (context.json && !is_sequence)
@@ -153,7 +154,7 @@ int run(Context& context, const std::string& file) {
     const std::string summary = sequence_summary_json(result);
     write_garment(given.task, folder);
     write_text(folder / "config.yaml", given.saved_config().to_yaml());
-    write_text(folder / "provenance.json", provenance);
+    write_text(folder / "provenance.json", given.provenance(identity));
     write_text(folder / "summary.json", summary);
     if (context.json) context.output() << summary;
   }

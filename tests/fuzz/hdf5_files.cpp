@@ -63,6 +63,7 @@ void make_session(const fs::path& file) {
   const Task& task = world().task;
   SessionResult result;
   result.start = result.goal = result.final_shape = result.default_shape = task.garment->positions;
+  result.goal_counts.assign(static_cast<std::size_t>(result.goal.rows()), true);
   result.true_material = MaterialProperties::Constant(0.5);
   result.goal_controls = task.trajectory->default_controls(1);
   std::vector<float> frame(static_cast<std::size_t>(result.start.size()), 0.25f);

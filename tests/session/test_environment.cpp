@@ -151,7 +151,6 @@ TEST_F(ProcessSession, RefusesConfigsThatAProcessCannotServe) {
 class Process : public Session {
  protected:
   Process() {
-    folder_.write("task.yaml", task_text());
     task_ = task();
   }
   /// @param cases lines of Python that follow the greeting. @param before lines of Python before the greeting.

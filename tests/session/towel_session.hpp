@@ -36,9 +36,10 @@ class Session : public testing::Test {
     std::string vertices;
     for (const auto& [name, index] : towel.vertices) vertices += "  " + name + ": " + std::to_string(index) + "\n";
     folder_.write("towel.yaml", "name: towel\nmesh: towel.obj\nvertices:\n" + vertices);
+    config_ = ConfigNode::load(folder_.write("task.yaml", task_text()));
   }
 
-  /// The task of the last run.
+  /// The task of the last run, or without any of task_text().
   Task task() {
     SessionParams params;
     read_params(config_, params);
@@ -56,7 +57,7 @@ class Session : public testing::Test {
 
   /// @param overrides as for --set.
   SessionResult run(const std::vector<std::string>& overrides = {}, int threads = 2) {
-    ConfigNode config = ConfigNode::load(folder_.write("task.yaml", task_text()));
+    ConfigNode config = ConfigNode::load(folder_ / "task.yaml");
     for (const auto& assignment : overrides) config = apply_override(config, assignment);
     config_ = config;
     SessionParams params;
@@ -67,7 +68,7 @@ class Session : public testing::Test {
   }
 
   test::Folder folder_;
-  ConfigNode config_, resolved_;  // of the last run
+  ConfigNode config_, resolved_;
 };
 
 inline const std::vector<std::string> kEstimate = {"knowledge=estimate", "planning.iterations=1",
