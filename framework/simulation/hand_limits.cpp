@@ -180,17 +180,17 @@ class Limiter {
     const double most = step_limit(hands_), change = change_limit(hands_);
     std::vector<Index> parts(rows.rows(), 1);
     std::vector<RowMotion> motions(rows.rows());
+    // At least into so many. More parts can bring a frame closer to a kink of the path, so each number is measured.
     const auto divide = [&](Index j, Index count) {
-      parts[j] = std::min(count, kMostParts);
-      motions[j] = motion(before[j], rows.row(j).transpose(), parts[j]);
-    };
-    for (Index j = 0; j < rows.rows(); ++j) {
-      divide(j, 1);
-      while ((motions[j].step > most || motions[j].change > change) && parts[j] < kMostParts) {
+      while (true) {
+        parts[j] = std::min(count, kMostParts);
+        motions[j] = motion(before[j], rows.row(j).transpose(), parts[j]);
+        if ((motions[j].step <= most && motions[j].change <= change) || parts[j] == kMostParts) return;
         const double factor = std::max(motions[j].step / most, std::sqrt(motions[j].change / change));
-        divide(j, std::max(parts[j] + 1, static_cast<Index>(std::floor(factor * static_cast<double>(parts[j])))));
+        count = std::max(parts[j] + 1, static_cast<Index>(std::floor(factor * static_cast<double>(parts[j]))));
       }
-    }
+    };
+    for (Index j = 0; j < rows.rows(); ++j) divide(j, 1);
     const auto jump = [&](Index j) { return largest_norm(motions[j].first - (j == 0 ? step_ : motions[j - 1].last)); };
     for (Index j = 0; j < rows.rows();) {
       if (jump(j) <= change) {
