@@ -34,14 +34,14 @@ void judge_fit(const std::vector<FitCurvePoint>& curve, std::vector<Shortfall>& 
   if (static_cast<double>(best->iteration) < before) {
     found.push_back(
         {formatted("the validation loss was lowest after %lld of %lld iterations and rose again: too few examples",
-                        static_cast<long long>(best->iteration), static_cast<long long>(last.iteration)),
+                   static_cast<long long>(best->iteration), static_cast<long long>(last.iteration)),
          "more examples for the fit"});
   } else if (const double gap = last.validation_loss - last.training_loss; gap > kOverfit) {
     found.push_back({formatted("the validation loss ended %.2f above the training loss: too few examples", gap),
                      "more examples for the fit"});
   } else if (const double fall = fifth->validation_loss - last.validation_loss; fall > kStillFalls) {
-    found.push_back({formatted("the validation loss still fell, by %.2f in the last fifth of the fit", fall),
-                     "more iterations"});
+    found.push_back(
+        {formatted("the validation loss still fell, by %.2f in the last fifth of the fit", fall), "more iterations"});
   }
 }
 
@@ -66,15 +66,15 @@ void judge_sigma(const PredictionEvaluation& held_out, std::vector<Shortfall>& f
     judge_rows(*rows, judged, narrow, wide);
   if (judged == 0) {
     found.push_back({formatted("sigma cannot be judged: %td held-out examples, and 50 are needed",
-                                    held_out.by_step.empty() ? Index{0} : held_out.by_step.front().examples),
+                               held_out.by_step.empty() ? Index{0} : held_out.by_step.front().examples),
                      "more held-out examples"});
     return;
   }
   for (const auto& [count, how] : {std::pair{narrow, "small"}, std::pair{wide, "large"}}) {
     if (count == 0) continue;
     found.push_back(
-        {formatted("sigma is too %s in %d of %d numbers (coverage outside 0.62 to 0.74, nse outside 0.8 to 1.25)",
-                        how, count, judged),
+        {formatted("sigma is too %s in %d of %d numbers (coverage outside 0.62 to 0.74, nse outside 0.8 to 1.25)", how,
+                   count, judged),
          "more examples for the calibration"});
   }
 }
@@ -100,7 +100,7 @@ std::vector<Shortfall> find_shortfalls(const LearnedModel& model) {
   std::vector<Shortfall> found;
   if (model.failed > 0 && 100 * model.failed > model.examples) {
     found.push_back({formatted("%lld of %lld examples failed", static_cast<long long>(model.failed),
-                                    static_cast<long long>(model.examples)),
+                               static_cast<long long>(model.examples)),
                      "`weft dataset info` of the folders in examples/ lists why"});
   }
   judge_fit(model.curve, found);
@@ -108,8 +108,8 @@ std::vector<Shortfall> find_shortfalls(const LearnedModel& model) {
   if (settled.n == 0) {
     found.push_back({"no held-out example was released, so settled shapes are not measured", "more held-out examples"});
   } else if (settled.median_mm > kTargetMedianMm) {
-    found.push_back({formatted("settled shapes are off by %.1f mm in the median; the target is %.0f",
-                                    settled.median_mm, kTargetMedianMm),
+    found.push_back({formatted("settled shapes are off by %.1f mm in the median; the target is %.0f", settled.median_mm,
+                               kTargetMedianMm),
                      is_close(model.curve) ? "more iterations: the losses of training and validation are close"
                                            : "more examples and iterations"});
   }

@@ -150,9 +150,7 @@ TEST_F(ProcessSession, RefusesConfigsThatAProcessCannotServe) {
 /// A process that greets as it should and answers everything else in its own way.
 class Process : public Session {
  protected:
-  Process() {
-    task_ = task();
-  }
+  Process() { task_ = task(); }
   /// @param cases lines of Python that follow the greeting. @param before lines of Python before the greeting.
   std::unique_ptr<ProcessEnvironment> start(const std::string& cases, double timeout_s = 20.0,
                                             const std::string& version = "1", const std::string& before = "pass") {
