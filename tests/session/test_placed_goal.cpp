@@ -41,7 +41,8 @@ TEST_F(PlacedGoal, OnlyAnEdgeCounts) {
   const std::string edge =
       "goal={edge: {vertices: [left_bottom, left_top], to_m: [0.3, -0.2, 0.003, 0.35, 0.2, 0.003]}}";
   const SessionResult result = run(with(quick_, {edge}));
-  const Garment& garment = *task().garment;
+  const auto kept = task().garment;
+  const Garment& garment = *kept;
   ASSERT_EQ(std::ssize(result.goal_counts), garment.vertex_count());
   Index counted = 0;
   double sum = 0.0;
