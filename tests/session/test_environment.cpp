@@ -44,7 +44,8 @@ class ProcessSession : public Session {
   SessionResult replay(const SessionResult& session, const std::vector<std::string>& overrides,
                        const std::string& script = WEFT_SOURCE_DIR "/docs/examples/replay_environment.py") {
     folder_.write("vertices.csv", looks_as_csv(session));
-    const Garment& garment = *task().garment;
+    const auto kept = task().garment;
+    const Garment& garment = *kept;
     write_obj(folder_ / "goal.obj", {session.goal, garment.faces, garment.rest, "goal"}, true);
     return run(with(overrides,
                     {"environment.command=[python3, " + script + ", vertices.csv]",
