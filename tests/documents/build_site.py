@@ -19,7 +19,8 @@ from check_documents import LINK, documents
 
 def site_name(name):
     """Where a file of the source tree lies on the site; None if it is not part of the site."""
-    pages = {"README.md": "readme/weft.md", "CHANGELOG.md": "changes.md", "MIGRATION.md": "migration.md"}
+    pages = {"README.md": "readme/weft.md", "CHANGELOG.md": "changes.md", "CONTRIBUTING.md": "contributing.md",
+             "MIGRATION.md": "migration.md"}
     if match := re.fullmatch(r"plugins/(\w+)/(\w+)/README\.md", name):
         return f"plugins/{match[1]}/{match[2]}.md"
     return pages.get(name) or (name[len("docs/"):] if name.startswith("docs/") else None)

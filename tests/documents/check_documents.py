@@ -12,6 +12,7 @@ Usage: check_documents.py ROOT
 - These pages keep their length: README.md, docs/write-a-plugin.md.
 - Every row of a table in docs/trust.md that promises something names tests, and these exist: "`PROGRAM`: `Suite.Case`"
   is a gtest case of a program that weft_test() makes, "`folder.name`" alone one of add_test(). A * stands for anything.
+- CITATION.cff has the version of the project.
 Old records may name what was there then: CHANGELOG.md and docs/measurements/ are checked for links only.
 """
 import fnmatch
@@ -27,7 +28,7 @@ LONGEST = {"README.md": 90, "docs/write-a-plugin.md": 200}  # lines
 
 def documents(root):
     """The Markdown files that are installed."""
-    pages = [root / name for name in ("README.md", "CHANGELOG.md", "MIGRATION.md")]
+    pages = [root / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "MIGRATION.md")]
     pages += sorted((root / "docs").rglob("*.md")) + sorted(root.glob("plugins/*/*/README.md"))
     return [page for page in pages if page.exists()]
 
@@ -149,6 +150,15 @@ def check_trust(root, page, text, fail):
             fail(page, number, "promises something without a test")
 
 
+def check_citation(root, fail):
+    citation, project = root / "CITATION.cff", root / "CMakeLists.txt"
+    if citation.exists():
+        cited = re.search(r"^version: (\S+)$", citation.read_text(), re.MULTILINE)
+        built = re.search(r"^project\(.*VERSION (\S+)", project.read_text(), re.MULTILINE)
+        if not cited or cited[1] != built[1]:
+            fail(citation, 1, f"cites another version than {built[1]}, the project's")
+
+
 def check(root):
     """@return what is wrong, one line each, and the number of pages."""
     wrong = []
@@ -156,6 +166,7 @@ def check(root):
     def fail(page, number, text):
         wrong.append(f"{page.relative_to(root)}:{number}: {text}")
 
+    check_citation(root, fail)
     pages = documents(root)
     for page in pages:
         text = page.read_text()

@@ -74,6 +74,13 @@ class Documents(unittest.TestCase):
         self.assertEqual([], self.wrong("`framework/src/none.cpp`\n", "docs/measurements/old.md"))
         self.assertEqual(1, len(self.wrong("[a](none.md)\n", "docs/measurements/old.md")))
 
+    def test_refuses_a_citation_of_another_version(self):
+        self.write("CMakeLists.txt", "project(weft VERSION 0.3.0 LANGUAGES CXX)\n")
+        self.write("CITATION.cff", "cff-version: 1.2.0\nversion: 0.3.0\n")
+        self.assertEqual([], self.wrong("text\n"))
+        self.write("CITATION.cff", "cff-version: 1.2.0\nversion: 0.2.0\n")
+        self.assertRegex(self.wrong("text\n")[0], "CITATION.cff:1: cites another version than 0.3.0")
+
     def test_refuses_blocks_that_mkdocs_shows_as_text(self):
         self.assertEqual([], self.wrong("# Here\n- a\n- b\n  c\n- d\n\ntext\n\n1. a\n\n| a |\n|---|\n| b |\n"))
         self.assertRegex(self.wrong("text\n- a\n")[0], "README.md:2: a list or table needs an empty line")
