@@ -9,6 +9,16 @@ install(DIRECTORY ${PROJECT_SOURCE_DIR}/framework/include/weft DESTINATION ${CMA
 if(EXISTS ${PROJECT_SOURCE_DIR}/configs)
   install(DIRECTORY ${PROJECT_SOURCE_DIR}/configs DESTINATION ${CMAKE_INSTALL_DATADIR}/weft)
 endif()
+# Completion for shells, as the program itself prints it.
+set(completion ${PROJECT_BINARY_DIR}/completion)
+install(CODE "
+file(MAKE_DIRECTORY \"${completion}\")
+foreach(shell bash zsh)
+  execute_process(COMMAND \"$<TARGET_FILE:weft_cli>\" completion \${shell} OUTPUT_FILE \"${completion}/\${shell}\"
+                  COMMAND_ERROR_IS_FATAL ANY)
+endforeach()")
+install(FILES ${completion}/bash DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions RENAME weft)
+install(FILES ${completion}/zsh DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/site-functions RENAME _weft)
 # The documents keep their places to one another, so that links between them work.
 install(FILES ${PROJECT_SOURCE_DIR}/README.md ${PROJECT_SOURCE_DIR}/CHANGELOG.md ${PROJECT_SOURCE_DIR}/MIGRATION.md
               ${PROJECT_SOURCE_DIR}/CONTRIBUTING.md ${PROJECT_SOURCE_DIR}/CITATION.cff ${PROJECT_SOURCE_DIR}/LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR})

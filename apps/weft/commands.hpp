@@ -24,6 +24,7 @@ void register_conformance(CLI::App& app, Context& context);
 void register_plugins(CLI::App& app, Context& context);
 void register_describe(CLI::App& app, Context& context);
 void register_new(CLI::App& app, Context& context);
+void register_completion(CLI::App& app, Context& context);
 void register_worker(CLI::App& app, Context& context);
 
 // Below `weft garment`.

@@ -69,6 +69,7 @@ int main(int argc, char** argv) {
   register_plugins(app, context);
   register_describe(app, context);
   register_new(app, context);
+  register_completion(app, context);
   register_worker(app, context);
   try {
     app.parse(argc, argv);

@@ -37,6 +37,13 @@ endfunction()
 file(GLOB_RECURSE arc ${WORK}/prefix/lib*/*weft_trajectory_arc.so)
 expect_own_library(${arc})
 
+foreach(file bash-completion/completions/weft zsh/site-functions/_weft)
+  file(READ ${WORK}/prefix/share/${file} completion)
+  if(NOT completion MATCHES "'/evaluate/planning'")
+    message(FATAL_ERROR "share/${file} does not complete weft:\n${completion}")
+  endif()
+endforeach()
+
 # The installed documents; the rest of this test builds the installed examples.
 set(documents ${WORK}/prefix/share/doc/weft)
 foreach(file README.md MIGRATION.md docs/write-a-plugin.md docs/images/fold.png plugins/trajectory/arc/README.md)
