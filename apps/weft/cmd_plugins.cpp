@@ -8,6 +8,7 @@
 #include "experiments/ablation.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/physics/physics.hpp"
+#include "loader/json_schema.hpp"
 #include "options.hpp"
 #include "simulation/scene.hpp"
 #include "simulation/surroundings.hpp"
@@ -55,15 +56,25 @@ struct FileKind {
   const char* name;
   const char* read_by;
   std::vector<ParamInfo> (*params)();
+  void (*visit)(ParamVisitor& visitor) = nullptr;  ///< null: no JSON Schema
 };
+template <class Params>
+void visit_params(ParamVisitor& visitor) {
+  Params params;
+  params.visit(visitor);
+}
+template <class Params>
+constexpr FileKind file_kind(const char* name, const char* read_by) {
+  return {name, read_by, describe_params<Params>, visit_params<Params>};
+}
 constexpr FileKind kFileKinds[] = {
-    {"task", "weft run, weft plan, weft estimate", describe_params<SessionParams>},
-    {"experiment", "weft generate, weft train, weft calibrate, weft evaluate", describe_params<ExperimentParams>},
-    {"physics", "weft evaluate physics", describe_params<PhysicsExperimentParams>},
-    {"ablation", "weft ablate", describe_params<AblationParams>},
+    file_kind<SessionParams>("task", "weft run, weft plan, weft estimate"),
+    file_kind<ExperimentParams>("experiment", "weft generate, weft train, weft calibrate, weft evaluate"),
+    file_kind<PhysicsExperimentParams>("physics", "weft evaluate physics"),
+    file_kind<AblationParams>("ablation", "weft ablate"),
     {"scene", "weft simulate", describe_scene},
     {"obstacles", "scene.obstacles of tasks, obstacles of scenes", describe_obstacles},
-    {"slurm", "--on slurm:PROFILE", describe_params<ClusterProfile>},
+    file_kind<ClusterProfile>("slurm", "--on slurm:PROFILE"),
 };
 
 std::string file_kind_names() {
@@ -85,13 +96,36 @@ PluginEntry find(const PluginRegistry& registry, const std::string& name) {
   }
 }
 
+/// The kind of file of this name; null if there is none.
+const FileKind* file_kind_named(const std::string& name) {
+  const auto* kind =
+      std::find_if(std::begin(kFileKinds), std::end(kFileKinds), [&](auto& one) { return one.name == name; });
+  return kind == std::end(kFileKinds) ? nullptr : kind;
+}
+
+int describe_as_schema(const Context& context, const std::string& name) {
+  const auto registry = registry_of_overrides(context);
+  nlohmann::ordered_json schema;
+  if (const FileKind* file = file_kind_named(name)) {
+    if (file->visit == nullptr)
+      throw ConfigError("--json-schema: there is none of " + name + " files; weft describe " + name +
+                        " lists the keys");
+    schema = json_schema("weft " + name + " file", file->visit, true, *registry);
+  } else {
+    const auto entry = find(*registry, name);
+    const auto visit = [&](ParamVisitor& visitor) { registry->visit_params(entry, visitor); };
+    schema = json_schema("params of " + entry.kind + " " + entry.name + " " + entry.version, visit, false, *registry);
+  }
+  context.output() << schema.dump(2) << '\n';
+  return 0;
+}
+
 int describe(const Context& context, const std::string& name, bool markdown) {
-  const auto* file =
-      std::find_if(std::begin(kFileKinds), std::end(kFileKinds), [&](auto& k) { return k.name == name; });
+  const FileKind* file = file_kind_named(name);
   nlohmann::ordered_json about;
   std::string title;
   std::vector<ParamInfo> params;
-  if (file != std::end(kFileKinds)) {
+  if (file != nullptr) {
     about = {{"kind", "file"}, {"name", name}, {"read_by", file->read_by}};
     title = name + " file, for " + file->read_by;
     params = file->params();
@@ -152,14 +186,18 @@ void register_describe(CLI::App& app, Context& context) {
       "describe", "Show the parameters of a plugin, or the keys of a config file, with units, ranges and defaults");
   add_search_options(*command, context);
   auto name = std::make_shared<std::string>();
-  auto markdown = std::make_shared<bool>(false);
+  auto markdown = std::make_shared<bool>(false), schema = std::make_shared<bool>(false);
   command
       ->add_option("name", *name,
                    "Plugin name, kind/name, or library file; or " + file_kind_names() + ": the keys of such files")
       ->required();
   command->add_flag("--markdown", *markdown, "Print the table for the plugin's README");
-  command->callback([&context, name, markdown] {
-    context.action = [&context, name, markdown] { return describe(context, *name, *markdown); };
+  command->add_flag("--json-schema", *schema, "Print a JSON Schema, with which editors check and complete such files")
+      ->excludes("--markdown");
+  command->callback([&context, name, markdown, schema] {
+    context.action = [&context, name, markdown, schema] {
+      return *schema ? describe_as_schema(context, *name) : describe(context, *name, *markdown);
+    };
   });
 }
 

@@ -324,6 +324,10 @@ std::vector<ParamInfo> PluginRegistry::params(const PluginEntry& entry) const {
   return describe_params_erased(const_cast<Library*>(library.get()), visit_erased);
 }
 
+void PluginRegistry::visit_params(const PluginEntry& entry, ParamVisitor& visitor) const {
+  visit_library(*impl_->library(entry.file), visitor);
+}
+
 std::pair<std::string, PluginEntry> PluginRegistry::look_up(const std::string& kind, const ConfigNode& slot) const {
   ConfigNode given_name = slot;
   ConfigNode version;

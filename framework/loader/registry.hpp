@@ -38,6 +38,8 @@ class PluginRegistry {
   /// The entry of a slot: {plugin: NAME, params: {...}}, or a bare NAME. @throws PluginError, ConfigError.
   PluginEntry entry(const std::string& kind, const ConfigNode& slot) const;
   std::vector<ParamInfo> params(const PluginEntry& entry) const;
+  /// Visits the plugin's parameters, with their defaults.
+  void visit_params(const PluginEntry& entry, ParamVisitor& visitor) const;
 
   /// Checks {plugin: NAME, params: {...}} (or a bare NAME) and fills in every default, also in nested slots. Creates no
   /// plugin. @throws ConfigError, PluginError.
