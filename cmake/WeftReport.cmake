@@ -1,7 +1,7 @@
 # Bundles apps/report: copies SOURCE to WORK, fetches packages there, writes OUTPUT/report.html, touches STAMP.
 # A failure does not fail the build: OUTPUT/why-not.txt gives the reason, and commands print it. TESTS: also fetch the
 # packages that only the tests need.
-file(REMOVE ${OUTPUT}/report.html ${OUTPUT}/why-not.txt)
+file(REMOVE ${OUTPUT}/report.html ${OUTPUT}/figures.mjs ${OUTPUT}/why-not.txt)
 function(give_up reason)
   file(WRITE ${OUTPUT}/why-not.txt "${reason}; remove ${STAMP} and build again\n")
   file(TOUCH ${STAMP})

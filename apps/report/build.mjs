@@ -1,5 +1,6 @@
 // Bundles the page into one file with a place for data, which weft fills in (framework/report/page_data.cpp).
 //   node build.mjs OUTPUT.html
+// Bundles figures.mjs into another one beside it, which draws the page's figures for papers.
 import { mkdir, readFile, rename, writeFile } from 'node:fs/promises';
 import { existsSync, readdirSync, readFileSync } from 'node:fs';
 import path from 'node:path';
@@ -33,6 +34,10 @@ const page = template
 if (page.split('<!--weft-data-->').length !== 2) throw new Error('the template must have exactly one place for data');
 
 if (!existsSync(path.dirname(path.resolve(output)))) await mkdir(path.dirname(path.resolve(output)), { recursive: true });
+const figures = await build({ ...common, entryPoints: ['figures.mjs'], format: 'esm', platform: 'node', target: 'node18', loader: { '.css': 'text' }, legalComments: 'none' });
+const program = path.join(path.dirname(output), 'figures.mjs');
+await writeFile(`${program}.tmp`, `${figures.outputFiles[0].text.trim()}\n/* This program contains:\n\n${notice}\n*/\n`);
+await rename(`${program}.tmp`, program);
 await writeFile(`${output}.tmp`, page);
 await rename(`${output}.tmp`, output);
 console.log(`${output}: ${(page.length / 1e6).toFixed(2)} MB`);

@@ -8,6 +8,7 @@
 #include "experiments/sweep_rows.hpp"
 #include "meshes/garment_writer.hpp"
 #include "output.hpp"
+#include "paper_options.hpp"
 #include "report/times.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
@@ -126,7 +127,7 @@ std::string row_text(const AblationPlan& plan, const SweepRow& row) {
   return line;
 }
 
-int ablate(const Context& context, const std::string& file, const WorkOptions& work) {
+int ablate(const Context& context, const std::string& file, const WorkOptions& work, const PaperOptions& paper) {
   ConfigNode config = ConfigNode::load(file);
   for (const auto& assignment : context.overrides) config = apply_override(config, assignment);
   AblationPlan plan = read_ablation(config, context.seed ? &*context.seed : nullptr);
@@ -178,6 +179,7 @@ int ablate(const Context& context, const std::string& file, const WorkOptions& w
   if (work.share) return share_exit_code(context, rows.size(), plan.cells());
   write_tables(context, plan, rows, folder, host->threads());
   say_mixed(context, plan, rows, earlier);
+  write_paper(context, folder, paper);
   write_page(context, folder);
   context.say("results in " + folder.string());
   return sweep_exit_code(context, {rows}, plan.cells());
@@ -194,8 +196,11 @@ void register_ablate(CLI::App& app, Context& context) {
   command->add_option("config", *file, "Ablation file, such as configs/experiments/optimisers.yaml")->required();
   auto work = std::make_shared<WorkOptions>();
   add_work_options(*command, "cell", *work);
-  command->callback(
-      [&context, file, work] { context.action = [&context, file, work] { return ablate(context, *file, *work); }; });
+  auto paper = std::make_shared<PaperOptions>();
+  add_paper_options(*command, *paper);
+  command->callback([&context, file, work, paper] {
+    context.action = [&context, file, work, paper] { return ablate(context, *file, *work, *paper); };
+  });
 }
 
 }  // namespace weft::app

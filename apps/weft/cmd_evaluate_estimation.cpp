@@ -28,6 +28,7 @@ int evaluate(Context& context, const EvaluationOptions& options, std::vector<std
   if (context.json) context.output() << whole;
   context.say(estimation_evaluation_table(whole));
   evaluation.say_rows(columns);
+  write_paper(context, evaluation.out, options.paper);
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
   return evaluation.exit_code(columns);

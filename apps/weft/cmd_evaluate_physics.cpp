@@ -9,6 +9,7 @@
 #include "experiments/evaluation_work.hpp"
 #include "experiments/physics/suite.hpp"
 #include "output.hpp"
+#include "paper_options.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
 #include "session/session.hpp"
@@ -49,7 +50,7 @@ std::string to_csv(const std::vector<PhysicsRow>& rows) {
   return csv;
 }
 
-int evaluate(Context& context, const std::string& file, const WorkOptions& work) {
+int evaluate(Context& context, const std::string& file, const WorkOptions& work, const PaperOptions& paper) {
   const auto out = result_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
   const ClusterWork on_cluster = single_work("evaluate physics", "evaluate-physics", out / "physics.json");
   const Prepared<PhysicsExperimentParams> given(context, file, {planned_identity(out, on_cluster.label)}, out.string());
@@ -92,6 +93,7 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work)
   if (context.json) context.output() << to_json(rows);
   const auto failed = std::count_if(rows.begin(), rows.end(), [](const PhysicsRow& r) { return !r.passed; });
   context.say(std::to_string(rows.size()) + " comparisons, " + std::to_string(failed) + " outside their bound");
+  write_paper(context, out, paper);
   write_page(context, out);
   context.say("results in " + out.string());
   return failed == 0 ? 0 : 1;
@@ -107,8 +109,11 @@ void register_evaluate_physics(CLI::App& app, Context& context) {
   command->add_option("config", *file, "Experiment file, such as configs/experiments/physics.yaml")->required();
   auto work = std::make_shared<WorkOptions>();
   add_process_options(*command, "case", *work);
-  command->callback(
-      [&context, file, work] { context.action = [&context, file, work] { return evaluate(context, *file, *work); }; });
+  auto paper = std::make_shared<PaperOptions>();
+  add_paper_options(*command, *paper);
+  command->callback([&context, file, work, paper] {
+    context.action = [&context, file, work, paper] { return evaluate(context, *file, *work, *paper); };
+  });
 }
 
 }  // namespace weft::app

@@ -30,6 +30,7 @@ int evaluate(Context& context, const EvaluationOptions& options, const std::vect
   if (context.json) context.output() << with_times(json, times);
   for (const auto& column : columns) context.say(planning_evaluation_table(column));
   evaluation.say_rows(columns);
+  write_paper(context, evaluation.out, options.paper);
   write_page(context, evaluation.out);
   context.say("results in " + evaluation.out.string());
   return evaluation.exit_code(columns);

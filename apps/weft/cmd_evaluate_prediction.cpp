@@ -127,6 +127,7 @@ int evaluate_predictor(Context& context, const PredictionCall& call, PredictionE
   say_settled(context, result);
   say_calibration(context, result);
   const int code = say_failures(context, given, result);
+  write_paper(context, out, call.paper);
   write_page(context, out);
   context.say("results in " + out.string());
   if (figures != nullptr) *figures = result;
@@ -141,6 +142,7 @@ void register_evaluate_prediction(CLI::App& app, Context& context) {
   command->add_option("config", call->config, "Experiment file, such as configs/experiments/tshirt.yaml")->required();
   command->add_option("--data", call->data, "Folders of examples");
   add_process_options(*command, "batch", call->work);
+  add_paper_options(*command, call->paper);
   command->callback(
       [&context, call] { context.action = [&context, call] { return evaluate_predictor(context, *call); }; });
 }

@@ -23,6 +23,7 @@ void add_evaluation_options(CLI::App& command, Context& context, EvaluationOptio
       ->check(within(std::int64_t{1}, std::int64_t{100000}));
   command.add_option("--data", options.data, "Folder of examples, for cases that are not fresh");
   add_work_options(command, "cell", options.work);
+  add_paper_options(command, options.paper);
 }
 
 namespace {

@@ -6,6 +6,7 @@
 #include "context.hpp"
 #include "experiments/cases.hpp"
 #include "experiments/experiment_config.hpp"
+#include "paper_options.hpp"
 #include "prepared.hpp"
 #include "work_options.hpp"
 
@@ -18,6 +19,7 @@ struct EvaluationOptions {
   std::vector<std::string> goals = {"fresh"};
   std::int64_t cases = 50;
   WorkOptions work;
+  PaperOptions paper;
 };
 void add_evaluation_options(CLI::App& command, Context& context, EvaluationOptions& options);
 

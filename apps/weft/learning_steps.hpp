@@ -6,6 +6,7 @@
 #include "context.hpp"
 #include "experiments/prediction_evaluation.hpp"
 #include "learning/generate.hpp"
+#include "paper_options.hpp"
 #include "weft/trainable.hpp"
 #include "work_options.hpp"
 
@@ -43,6 +44,7 @@ struct PredictionCall {
   std::string config;
   std::vector<std::string> data;  ///< folders; empty: `dataset` of the config
   WorkOptions work = {};
+  PaperOptions paper = {};
 };
 /// @param figures gets what was measured, unless it is null.
 int evaluate_predictor(Context& context, const PredictionCall& call, PredictionEvaluation* figures = nullptr);

@@ -1,7 +1,8 @@
 // The page of `weft ablate`: arms as rows, sortable; factors as colours; means with intervals; paired differences.
-import { chart, Plot } from './charts';
+import { chart } from './charts';
 import type { Arm, PageData, Statistics } from './data';
-import { fixed, h, label, section } from './dom';
+import { fixed, h, section } from './dom';
+import { intervalOptions, nameOf, unitOf, type Interval } from './figures';
 import { provenanceDetails, title } from './frame';
 import { sortableTable, type Column } from './table';
 
@@ -10,9 +11,6 @@ const kColours = 6;
 const kShapes = [{ symbol: 'circle', style: 'border-radius:50%' }, { symbol: 'square', style: '' }, { symbol: 'diamond', style: 'transform:rotate(45deg) scale(0.8)' }] as const;
 const kShownFirst = ['error_mm', 'silhouette_iou', 'success_10mm', 'first_plan_loss', 'evaluations', 'plan_seconds'];
 
-const kUnits: [RegExp, string][] = [[/_mm$/, 'mm'], [/_seconds$/, 's']];
-const unitOf = (metric: string) => kUnits.find(([ending]) => ending.test(metric))?.[1] ?? '';
-const nameOf = (metric: string) => label(kUnits.reduce((text, [ending]) => text.replace(ending, ''), metric).replace(/_(\d+)mm$/, ' within $1 mm'));
 const heading = (metric: string) => `${nameOf(metric)}${unitOf(metric) ? `, ${unitOf(metric)}` : ''}`;
 
 export function ablationPage(page: PageData): HTMLElement {
@@ -67,21 +65,12 @@ export function ablationPage(page: PageData): HTMLElement {
   });
 
   const intervals = (name: string, of: (arm: Arm) => Statistics | undefined, zero: boolean) => chart(name, () => {
-    const rows = table.sorted().flatMap((arm) => {
+    const rows = table.sorted().flatMap((arm): Interval[] => {
       const value = of(arm);
       if (!value || value.mean === null) return [];
       return [{ name: arm.name, mean: value.mean, low: value.mean_95[0] ?? value.mean, high: value.mean_95[1] ?? value.mean, ...(colourBy ? look(colourBy, arm.levels[colourBy]) : { colour: 'var(--c0)', symbol: 'circle' }), title: `${arm.name}: ${text(value, metric)}` }];
     });
-    return {
-      marginLeft: Math.min(190, 20 + 6.5 * Math.max(0, ...arms.map((arm) => arm.name.length))), height: 60 + 26 * Math.max(1, rows.length),
-      x: { label: unitOf(metric) || nameOf(metric), grid: true, nice: true, zero: true, ticks: 5, tickFormat: '~s' },
-      y: { type: 'band', domain: rows.map((row) => row.name), label: null },
-      marks: [
-        ...(zero ? [Plot.ruleX([0], { stroke: 'var(--ink)' })] : []),
-        Plot.ruleY(rows, { y: 'name', x1: 'low', x2: 'high', stroke: (row) => row.colour, strokeWidth: 3 }),
-        ...rows.map((row) => Plot.dot([row], { y: 'name', x: 'mean', r: 5, fill: row.colour, symbol: row.symbol, title: 'title', tip: true })),
-      ],
-    };
+    return intervalOptions(rows, metric, zero, arms.map((arm) => arm.name));
   });
   const means = intervals('Mean and 95 % interval', (arm) => arm.metrics[metric], false);
   const differences = intervals('Paired difference to the baseline', (arm) => arm.metrics[metric]?.difference, true);

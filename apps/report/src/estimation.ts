@@ -1,8 +1,9 @@
 // `weft evaluate estimation`: the paper's Table 1 and Fig. 4, calibration, and the replayed manipulations in 3D.
 import { chooser, clickCases, sequenceViewer } from './cases';
-import { chart, key, materialChart, Plot, type Chart } from './charts';
+import { chart, key, materialChart, type Chart } from './charts';
 import type { EstimationCase, EstimationData, PageData, PropertyResult, Spread } from './data';
 import { fixed, h, label, section } from './dom';
+import { calibrationOptions, coveragePoints, estimateOptions, estimateRows } from './figures';
 
 /** The paper's Table 1. */
 const kPaper: Record<string, { abs_error: Spread; width: Spread; failure_rate: number | null }> = {
@@ -30,21 +31,8 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
       h('tr', {}, h('td', { class: 'text paper' }, 'paper'), ...columns.map((p) => h('td', { class: 'paper' }, text(kPaper[p]))))]),
       ...more.map(([name, text]) => h('tr', {}, h('th', { scope: 'row', class: 'text' }, name), h('td', { class: 'text' }, 'here'), ...columns.map((p) => h('td', { 'data-key': `${p} ${name}` }, text(estimation.properties[p])))))));
 
-  const points = names.flatMap((name) => Object.entries(cases.length ? estimation.properties[name].coverage : {}).map(([nominal, observed]) => ({ name, nominal: Number(nominal), observed })))
-    .sort((a, b) => a.nominal - b.nominal);
-  const calibration = chart('Calibration: nominal against observed coverage', () => ({
-    x: { domain: [0, 1], label: 'nominal: share a of the width', ticks: 5 },
-    y: { domain: [0, 1], label: 'observed', ticks: 5, grid: true },
-    marks: [
-      Plot.line([[0, 0], [1, 1]], { stroke: 'var(--muted)', strokeDasharray: '5,4' }),
-      ...names.flatMap((name) => {
-        const line = points.filter((point) => point.name === name);
-        const shown = { x: 'nominal', y: 'observed' };
-        return [Plot.line([{ nominal: 0, observed: 0 }, ...line], { ...shown, stroke: `var(--${name})`, strokeWidth: 2 }),
-          Plot.dot(line, { ...shown, fill: `var(--${name})`, r: 4, symbol: (['circle', 'square', 'triangle', 'diamond'] as const)[names.indexOf(name)], title: (d) => `${name}: ${fixed(d.observed, 2)} of the true values in [c ± ${d.nominal} w/2]`, tip: true })];
-      }),
-    ],
-  }), { height: 300 });
+  const points = coveragePoints(estimation, cases.length ? names : []);
+  const calibration = chart('Calibration: nominal against observed coverage', () => calibrationOptions(points, names), { height: 300 });
 
   const last = (one: EstimationCase) => one.knowledge[one.knowledge.length - 1] ?? { centre: [], width: [] };
   const charts = h('div', { class: 'small-multiples', id: 'fig-4' });
@@ -66,19 +54,8 @@ export function estimationPart(page: PageData, estimation: EstimationData): HTML
 
   const overview = names.map((name) => {
     const p = page.properties.indexOf(name), colour = `var(--${name})`;
-    const rows = cases.map((one, index) => {
-      const centre = last(one).centre[p], half = last(one).width[p] / 2;
-      return { index, truth: one.true_material[p], centre, low: Math.max(0, centre - half), high: Math.min(1, centre + half) };
-    });
-    const figure = chart(`${name}: estimate after the last segment against the true value`, () => ({
-      marginLeft: 32, marginTop: 10,
-      x: { domain: [0, 1], ticks: [0, 0.5, 1], label: 'true' }, y: { domain: [0, 1], ticks: [0, 0.5, 1], label: null },
-      marks: [
-        Plot.line([[0, 0], [1, 1]], { stroke: 'var(--muted)', strokeDasharray: '5,4' }),
-        Plot.ruleX(rows, { x: 'truth', y1: 'low', y2: 'high', stroke: colour, strokeOpacity: 0.6 }),
-        Plot.dot(rows, { x: 'truth', y: 'centre', r: 3.2, fill: colour, ariaLabel: (row) => `case ${row.index}`, title: (row) => `case ${row.index + 1}: ${fixed(row.centre, 2)} in [${fixed(row.low, 2)}, ${fixed(row.high, 2)}], true ${fixed(row.truth, 2)}` }),
-      ],
-    }), { height: 190 }).element;
+    const rows = estimateRows(cases, p);
+    const figure = chart(`${name}: estimate after the last segment against the true value`, () => estimateOptions(rows, colour), { height: 190 }).element;
     clickCases(figure, (i) => {
       choice.go(i);
       choice.element.scrollIntoView({ behavior: 'smooth', block: 'start' });

@@ -1,32 +1,16 @@
 // `weft evaluate prediction`: error and calibration against segments ahead, and predicted shapes in 3D.
 import { caseViewer, chooser, clickCases } from './cases';
-import { chart, key, Plot, wholeTicks } from './charts';
+import { chart, key, Plot } from './charts';
 import type { PageData, PredictionData, StepResult } from './data';
 import { fixed, h, label, section } from './dom';
+import { predictionSeries, stepOptions } from './figures';
 
 export function predictionPart(page: PageData, prediction: PredictionData): HTMLElement {
-  const series = [
-    { name: 'from the start', rows: prediction.by_step, colour: 'var(--c0)' },
-    { name: 'from a random segment', rows: prediction.by_step_from_random ?? [], colour: 'var(--c2)' },
-    { name: 'without knowledge of the material', rows: prediction.by_step_no_knowledge ?? [], colour: 'var(--c3)' },
-  ].filter((one) => one.rows.length > 0);
-  const last = Math.max(1, ...series.flatMap((one) => one.rows.map((row) => row.steps)));
+  const series = predictionSeries(prediction);
   const baselines = Object.entries(prediction.baselines ?? {}).map(([name, value]) => ({ name, value }));
-  const figure = (title: string, label: string, value: 'mean_mm' | 'coverage_1sigma', digits: number, more: Plot.Markish[], y: object) => chart(title, (width) => ({
-    x: { domain: [0, last], ticks: wholeTicks(0, last, width), tickFormat: 'd', label: 'segments ahead' },
-    y: { label, grid: true, ...y },
-    marks: [
-      ...more,
-      ...series.flatMap(({ name, rows, colour }) => [
-        Plot.lineY(rows, { x: 'steps', y: value, stroke: colour, strokeWidth: 2.2 }),
-        Plot.dot(rows, { x: 'steps', y: value, fill: colour, r: 2.6, tip: true, title: (row) => `${name}, ${row.steps} ahead: ${fixed(row[value], digits)}${row.n ? ` (n = ${row.n})` : ''}` }),
-      ]),
-    ],
-  }), { height: 260 });
-  const errors = figure('Prediction error against segments ahead', 'mm', 'mean_mm', 2, [
-    Plot.lineY(prediction.by_step, { x: 'steps', y: 'median_mm', stroke: 'var(--c0)', strokeDasharray: '5,3' })], { zero: true, nice: true });
-  const coverage = figure('Share of coordinates within one sigma', 'share', 'coverage_1sigma', 3, [
-    Plot.ruleY([0.683], { stroke: 'var(--muted)', strokeDasharray: '5,4' })], { domain: [0, 1], ticks: 5 });
+  const figure = (title: string, value: 'mean_mm' | 'coverage_1sigma') => chart(title, (width) => stepOptions(series, width, value), { height: 260 });
+  const errors = figure('Prediction error against segments ahead', 'mean_mm');
+  const coverage = figure('Share of coordinates within one sigma', 'coverage_1sigma');
   const head = ['', 'n', 'Mean, mm', 'Median, mm', 'Mean σ, mm', 'Within 1 σ', 'Mean (error/σ)²', 'NLL per coordinate'];
   const figures = (row: Omit<StepResult, 'steps'>) =>
     [String(row.n ?? '–'), fixed(row.mean_mm, 2), fixed(row.median_mm, 2), fixed(row.sigma_mm, 2), fixed(row.coverage_1sigma, 3), fixed(row.nse, 2), fixed(row.nll, 2)];

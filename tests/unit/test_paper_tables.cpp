@@ -1,0 +1,80 @@
+#include "report/paper_tables.hpp"
+
+#include "test_support.hpp"
+#include "weft/error.hpp"
+
+namespace weft::test {
+namespace {
+
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+constexpr const char* kAblation = R"({"factors": ["optimiser"], "complete": true, "arms": [
+  {"name": "rprop", "levels": {"optimiser": "rprop"}, "failed": [], "unpaired": 0, "metrics": {
+    "error_mm": {"n": 20, "mean": 12.345, "median": 10.5, "mean_95": [11, 13.5], "median_95": [9.5, 12]}}},
+  {"name": "a|b & 50 %", "levels": {"optimiser": "a|b & 50 %"}, "failed": [{"seed": 3}], "unpaired": 0, "metrics": {
+    "error_mm": {"n": 19, "mean": 14, "median": null, "mean_95": [null, null], "median_95": [null, null],
+      "difference": {"n": 19, "mean": -1.5, "mean_95": [-2, -1]}}}}]})";
+
+TEST(PaperTables, AnAblationAsMarkdownAndLatex) {
+  const Folder folder;
+  folder.write("ablation.json", kAblation);
+  const auto tables = paper_tables(folder.path());
+  ASSERT_EQ(tables.size(), 1u);
+  EXPECT_EQ(
+      markdown_of(tables),
+      "error_mm: mean and median with the bootstrap's 95 % intervals, and the mean of the paired differences to the "
+      "baseline.\n\n"
+      "| optimiser | n | failed | mean | 95 % | median | 95 % | difference | 95 % |\n"
+      "|---|---:|---:|---:|---:|---:|---:|---:|---:|\n"
+      "| rprop | 20 | 0 | 12.3 | [11.0, 13.5] | 10.5 | [9.5, 12.0] |  |  |\n"
+      "| a\\|b & 50 % | 19 | 1 | 14.0 |  |  |  | -1.5 | [-2.0, -1.0] |\n");
+  EXPECT_EQ(latex_of(tables),
+            "% Tables of weft; they need \\usepackage{booktabs}.\n\n"
+            "\\begin{table}\n  \\centering\n"
+            "  \\caption{error\\_mm: mean and median with the bootstrap's 95 \\% intervals, and the mean of the paired "
+            "differences to the baseline.}\n"
+            "  \\label{tab:ablation-error-mm}\n  \\begin{tabular}{lrrrrrrrr}\n    \\toprule\n"
+            "    optimiser & n & failed & mean & 95 \\% & median & 95 \\% & difference & 95 \\% \\\\\n    \\midrule\n"
+            "    rprop & 20 & 0 & 12.3 & [11.0, 13.5] & 10.5 & [9.5, 12.0] &  &  \\\\\n"
+            "    a$\\vert$b \\& 50 \\% & 19 & 1 & 14.0 &  &  &  & $-$1.5 & [$-$2.0, $-$1.0] \\\\\n"
+            "    \\bottomrule\n  \\end{tabular}\n\\end{table}\n");
+}
+
+TEST(PaperTables, EvaluationsHaveTheirTables) {
+  const Folder folder;
+  const std::string by_width =
+      R"("by_width": [{"width": 0.1, "n": 50, "median_mm": 1.234, "mean_mm": 2, "sd_mm": null, "q1_mm": 1, "q3_mm": 2.5,
+          "outliers": 3, "silhouette_iou": 0.987, "success_10mm": 0.96, "success_20mm": 1, "success_30mm": 1}])";
+  folder.write("planning.json", R"({"goals": "fresh", "complete": false, )" + by_width +
+                                    R"(, "columns": {"test": {"goals": "test", )" + by_width + "}}}");
+  folder.write("estimation.json",
+               R"({"complete": true, "columns": {"fresh": {"posterior": {"n": 50, "properties": {"bend": {
+      "abs_error": {"mean": 0.05, "median": 0.04, "sd": 0.03}, "width": {"median": 0.25}, "failure_rate": 0.02,
+      "coverage": {"0.5": 0.5, "0.8": 0.82}, "interval_score": 0.3}}}}}})");
+  folder.write("prediction.json",
+               R"({"by_step": [{"steps": 1, "n": 9, "mean_mm": 0.5, "median_mm": 0.4, "sigma_mm": 0.6,
+      "nll": -1.25, "coverage_1sigma": 0.7}]})");
+  folder.write("physics.json",
+               R"({"rows": [{"test": "hanging", "case": "strip", "quantity": "length, m", "reference": 1.5,
+      "measured": 1.50001, "error": null, "bound": 0.01, "passed": true}]})");
+  const std::string text = markdown_of(paper_tables(folder.path()));
+  EXPECT_THAT(text, HasSubstr("(goals: fresh); not all cells have run.\n"));
+  EXPECT_THAT(text, HasSubstr("(goals: test).\n"));
+  EXPECT_THAT(text, HasSubstr("| 0.10 | 50 | 1.23 | 2.00 |  | 1.00 | 2.50 | 3 | 0.987 | 96 | 100 | 100 |\n"));
+  EXPECT_THAT(text, HasSubstr("| median \\|c - q\\| |"));
+  EXPECT_THAT(text, HasSubstr("| posterior | bend | 50 | 0.040 | 0.050 | 0.030 | 0.250 | 2 | 50 | 82 | 0.300 |\n"));
+  EXPECT_THAT(text, HasSubstr("| 1 | 9 | 0.50 | 0.40 | 0.60 | -1.250 | 70 |\n"));
+  EXPECT_THAT(text, HasSubstr("| hanging | strip | length, m | 1.5 | 1.5 |  | 0.01 | yes |\n"));
+  EXPECT_THAT(latex_of(paper_tables(folder.path())), HasSubstr("median $\\vert$c - q$\\vert$"));
+}
+
+TEST(PaperTables, ADamagedFileIsNamed) {
+  const Folder folder;
+  EXPECT_THAT(paper_tables(folder.path()), IsEmpty());
+  folder.write("planning.json", R"({"goals": "fresh"})");
+  EXPECT_THAT(message_of<ConfigError>([&] { paper_tables(folder.path()); }), HasSubstr("planning.json: is damaged: "));
+}
+
+}  // namespace
+}  // namespace weft::test
