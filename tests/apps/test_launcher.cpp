@@ -82,7 +82,7 @@ TEST_F(Launcher, BuildsWhatNeedsLibtorchOnFirstUse) {
                            "run other.yaml --set predictor.plugin=torchscript", "ablate sweep.yaml", "describe emd"})
     EXPECT_THAT(target(with), HasSubstr("build/release weft_programs")) << with;
   for (const char* without :
-       {"run other.yaml", "run missing.yaml", "simulate other.yaml", "ablate round.yaml", "--help"})
+       {"run other.yaml", "run missing.yaml", "simulate other.yaml", "ablate round.yaml", "--help", "completion bash"})
     EXPECT_THAT(target(without), HasSubstr("build/release weft_without_torch")) << without;
 }
 

@@ -39,7 +39,9 @@ echo "== install ${debs[*]##*/}"
 inside 'apt-get -qq update; apt-get -qq install -y --no-install-recommends /root/*.deb >/root/apt.log 2>&1 || { cat /root/apt.log; exit 1; }
   grep -c "^Setting up" /root/apt.log; dpkg-query -W -f "\${Package} \${Version}: \${Installed-Size} kB\n" weft'
 echo "== what is there"
-inside 'weft --version; weft plugins | tee /root/plugins.txt; ! grep refused /root/plugins.txt; ! ldd /usr/bin/weft | grep "not found"; test -s /usr/share/bash-completion/completions/weft'
+inside 'weft --version; weft plugins | tee /root/plugins.txt; ldd /usr/bin/weft >/root/ldd.txt
+  if grep -E "refused|not found" /root/plugins.txt /root/ldd.txt; then exit 1; fi
+  test -s /usr/share/bash-completion/completions/weft'
 echo "== fold the default shirt"
 inside 'cd /root; weft run /usr/share/weft/configs/tasks/tshirt_fold.yaml --out fold; ls fold; test -s fold/report.html
   grep -q "\"released\": true" fold/summary.json'
