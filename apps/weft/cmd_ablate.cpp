@@ -67,7 +67,7 @@ SavedArm rehearse(const AblationPlan& plan, SweepArm& arm, const PluginRegistry&
     const ConfigNode resolved = read_params(arm.config, params);
     const Task task = make_task(params.task, arm.config, host);
     check_simulator(task.simulator, task, host);
-    for (const auto& step : session_steps(params, arm.config)) rehearse_session(step.params, step.config, host);
+    rehearse_steps(session_steps(params, arm.config), host);
     return resolve_arm<SessionParams>(arm, resolved, task, registry);
   } catch (const Error& error) {
     throw ConfigError("arm '" + arm.name + "': " + error.what());

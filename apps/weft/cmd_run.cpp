@@ -59,7 +59,9 @@ void say_result(const Context& context, const SessionResult& result, Index lag) 
 }
 
 /// The config that repeats a run: with the counts that a clock decided, and the folder in which a command ran.
-ConfigNode repeatable(ConfigNode saved, const SessionStep& step, const SessionResult& result) {
+/// @param prefix of the fold's own keys: empty, or `manipulations.K.`.
+ConfigNode repeatable(ConfigNode saved, const SessionStep& step, const SessionResult& result,
+                      const std::string& prefix = "") {
   const SessionParams& params = step.params;
   const EnvironmentParams& environment = params.environment;
   if (!environment.simulated() && environment.folder.empty()) {
@@ -70,12 +72,12 @@ ConfigNode repeatable(ConfigNode saved, const SessionStep& step, const SessionRe
   if (params.planning.time_budget_s > 0) {
     std::vector<ConfigNode> counts;
     for (const auto& round : result.rounds) counts.push_back(ConfigNode::integer(round.plan.iterations));
-    saved = saved.with("planning.replay_iterations", ConfigNode::sequence(counts));
+    saved = saved.with(prefix + "planning.replay_iterations", ConfigNode::sequence(counts));
   }
   if (params.correction.time_budget_s > 0) {
     std::vector<ConfigNode> dropped;
     for (const Index segment : result.dropped_corrections) dropped.push_back(ConfigNode::integer(segment));
-    saved = saved.with("correction.dropped", ConfigNode::sequence(dropped));
+    saved = saved.with(prefix + "correction.dropped", ConfigNode::sequence(dropped));
   }
   return saved;
 }
@@ -107,19 +109,22 @@ int run(Context& context, const std::string& file) {
   const Identity identity = given.identity("run");
   require_unmixed(context, folder, identity);
   const auto steps = session_steps(given.params, given.config);
-  const bool is_sequence = steps.size() > 1;
+  const bool is_sequence = !given.params.manipulations.is_null();
   const PlacedFolder placed(folder);
 
   context.say("folding " + given.task.garment->name + " (" + std::to_string(given.task.garment->vertex_count()) +
               " vertices), seed " + std::to_string(given.seed) + ", " + std::to_string(given.host->threads()) +
               (given.host->threads() == 1 ? " thread" : " threads"));
-  Index trial = 0, fold = 0;
+  Index begun = 0;  // trials of all folds
   const auto progress = [&](const SessionRound& round, Index number, double) {
-    if (number == 0 && is_sequence && trial % given.params.trials == 0)
-      context.say("fold " + std::to_string(++fold) + " of " + std::to_string(steps.size()));
-    if (number == 0 && ++trial > 0 && given.params.trials > 1)
-      context.say("trial " + std::to_string((trial - 1) % given.params.trials + 1) + " of " +
-                  std::to_string(given.params.trials));
+    const Index trials = given.params.trials;
+    if (number == 0) {
+      const Index fold = begun / trials, trial = begun % trials;
+      ++begun;
+      if (is_sequence && trial == 0)
+        context.say("fold " + std::to_string(fold + 1) + " of " + std::to_string(steps.size()));
+      if (trials > 1) context.say("trial " + std::to_string(trial + 1) + " of " + std::to_string(trials));
+    }
     char line[200], corrected[80] = "";
     if (round.correction && std::isfinite(round.correction->forecast_mm))
       std::snprintf(corrected, sizeof(corrected), "  corrected from %.1f mm, %zu simulated%s",
@@ -130,7 +135,9 @@ int run(Context& context, const std::string& file) {
                   round.plan.releases ? "" : "  (no release yet)", corrected);
     context.say(line);
   };
+  ConfigNode whole = given.saved_config();
   const auto done = [&](const SessionStep& step, Index number, const Task& task, const SessionResult& result) {
+    if (is_sequence) whole = repeatable(whole, step, result, "manipulations." + std::to_string(number) + ".");
     ConfigNode saved = given.saved_config();
     if (is_sequence) {
       saved = self_contained(step.resolved, describe_params<SessionParams>(), task, *given.registry);
@@ -146,14 +153,14 @@ int run(Context& context, const std::string& file) {
     for (const auto& warning : result.warnings) given.host->log(LogLevel::warning, warning);
     if (context.json && !is_sequence)
       context.output() << with_times(session_summary_json(result), session_times_json(result));
-    say_result(context, result, given.params.correction.lag);
+    say_result(context, result, step.params.correction.lag);
     write_page(context, target);
   };
   const SessionResult result = run_sequence(given.params, given.config, *given.host, progress, done);
   if (is_sequence) {
     const std::string summary = sequence_summary_json(result);
     write_garment(given.task, folder);
-    write_text(folder / "config.yaml", given.saved_config().to_yaml());
+    write_text(folder / "config.yaml", whole.to_yaml());
     write_text(folder / "provenance.json", given.provenance(identity));
     write_text(folder / "summary.json", summary);
     if (context.json) context.output() << summary;

@@ -169,13 +169,18 @@ TrialMemory PlanChain::memory(bool released) {
   const Index segments = executed_.rows();
   if (!released || segments == 0) return memory;
   Work past{.executed = executed_.topRows(segments - 1), .seen = seen_};
-  twin_at(past, knowledge_.centre);
-  memory.learned.resize(segments);
-  host_.parallel_for(segments, [&](Index j) {
-    const FoldResult fold = twin_->fold(track_[j], executed_.bottomRows(segments - j));
-    const Positions& forecast = fold.shapes.back();
-    memory.learned[j] = std::make_shared<const Positions>(*filled(*seen_.back(), forecast) - forecast);
-  });
+  std::vector<std::shared_ptr<const Positions>> learned(segments);
+  try {
+    twin_at(past, knowledge_.centre);
+    host_.parallel_for(segments, [&](Index j) {
+      const FoldResult fold = twin_->fold(track_[j], executed_.bottomRows(segments - j));
+      const Positions& forecast = fold.shapes.back();
+      learned[j] = std::make_shared<const Positions>(*filled(*seen_.back(), forecast) - forecast);
+    });
+  } catch (const Diverged&) {
+    return memory;  // what happened cannot be simulated, so nothing is learned from it
+  }
+  memory.learned = std::move(learned);
   return memory;
 }
 

@@ -20,6 +20,25 @@ Index moving_variables(const Trajectory& trajectory, const PlanPoint& point) {
   return point.x.size() == controls * point.horizon ? controls * point.release : point.x.size();
 }
 
+/// The best point of each release segment that keeps the limits of the hands, by loss.
+std::vector<PlanPoint> best_points(const PlanningObjective& objective, const std::vector<OptimiserResult>& results,
+                                   Index horizon) {
+  std::vector<PlanPoint> points;
+  for (const auto& result : results) {
+    if (!std::isfinite(result.cost) || !objective.keeps_limits(result.x)) continue;
+    PlanPoint point{result.x, horizon, objective.make_case(result.x).segments.front(), result.cost};
+    const auto same = std::find_if(points.begin(), points.end(),
+                                   [&](const PlanPoint& other) { return other.release == point.release; });
+    if (same == points.end())
+      points.push_back(std::move(point));
+    else if (point.loss < same->loss)
+      *same = std::move(point);
+  }
+  std::stable_sort(points.begin(), points.end(),
+                   [](const PlanPoint& a, const PlanPoint& b) { return a.loss < b.loss; });
+  return points;
+}
+
 }  // namespace
 
 Vector vertex_weights(const PlannerParams& params, Index vertices, const ConfigNode& origin) {
@@ -140,18 +159,7 @@ Plan Planner::plan(const PlanRequest& request) const {
 
   plan.ended = search_end(results, plan.instance);
 
-  for (const auto& result : results) {
-    if (!std::isfinite(result.cost) || !objective.keeps_limits(result.x)) continue;
-    PlanPoint point{result.x, plan.horizon, objective.make_case(result.x).segments.front(), result.cost};
-    const auto same = std::find_if(plan.points.begin(), plan.points.end(),
-                                   [&](const PlanPoint& other) { return other.release == point.release; });
-    if (same == plan.points.end())
-      plan.points.push_back(std::move(point));
-    else if (point.loss < same->loss)
-      *same = std::move(point);
-  }
-  std::stable_sort(plan.points.begin(), plan.points.end(),
-                   [](const PlanPoint& a, const PlanPoint& b) { return a.loss < b.loss; });
+  plan.points = best_points(objective, results, plan.horizon);
   // What is left of the plan in force keeps the limits of the hands, which move already.
   Plan winner = plan.points.empty() ? plan_of_controls(request, start.topRows(first ? plan.horizon : kept))
                                     : plan_of(request, plan.points.front());
@@ -222,7 +230,7 @@ double Planner::distance(const PlanPoint& a, const PlanPoint& b) const {
 
 double Planner::loss_of(const PlanRequest& request, const PlanPoint& point, const Positions& shape) const {
   const PlanningObjective objective(task_, *predictor_, mean_params_, weights_, request, point.horizon);
-  return objective.loss_of(shape, objective.decode(point.x), point.release);
+  return objective.loss_of(shape, point.x, point.release);
 }
 
 bool Planner::keeps_limits(const PlanRequest& request, const PlanPoint& point) const {

@@ -7,7 +7,6 @@
 #include "session/instance_rows.hpp"
 #include "session/jvp.hpp"
 #include "session/shape_errors.hpp"
-#include "simulation/hand_limits.hpp"
 
 namespace weft {
 namespace {
@@ -104,11 +103,12 @@ PlanningObjective::ShapeTerm PlanningObjective::shape_term(const Positions& mean
   return term;
 }
 
-double PlanningObjective::loss_of(const Positions& shape, const Controls& controls, Index u) const {
-  Controls padded = task_.trajectory->default_controls(horizon_);
-  padded.topRows(controls.rows()) = controls;
-  return shape_term(shape, nullptr, false).loss +
-         params_.activity_weight * activity_loss(task_, request_.state, padded, u, params_.slowness_weight, nullptr);
+double PlanningObjective::loss_of(const Positions& shape, ConstVec x, Index u) const {
+  const Decoded point = decoded(x);
+  const double activity =
+      activity_loss(task_, request_.state, point.limited.controls, u, params_.slowness_weight, nullptr);
+  return shape_term(shape, nullptr, false).loss + params_.activity_weight * activity +
+         0.5 * hand_residuals(point, nullptr).squaredNorm();
 }
 
 Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& instances,
@@ -118,8 +118,12 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
   if (wanted.gradients && !capabilities().gradients)
     throw Unsupported("planning objective: the predictor has no gradients");
   const Index n = x.cols();
+  std::vector<Decoded> points;
   std::vector<PredictionCase> cases;
-  for (Index i = 0; i < n; ++i) cases.push_back(make_case(x.col(i)));
+  for (Index i = 0; i < n; ++i) {
+    points.push_back(decoded(x.col(i)));
+    cases.push_back(case_of(points.back().limited.controls));
+  }
   const auto prediction = predict_in_rows(predictor_, cases, instances, params_.instances,
                                           {.moments = moments_,
                                            .gradients = wanted.gradients || uses_jvp(wanted),
@@ -155,7 +159,7 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
     std::vector<Controls> d_release;
     const Vector release = release_residuals(cases[i].controls, wanted.gradients ? &d_release : nullptr);
     std::vector<Controls> d_hands;
-    const Vector hands = hand_residuals(x.col(i), wanted.gradients ? &d_hands : nullptr);
+    const Vector hands = hand_residuals(points[i], wanted.gradients ? &d_hands : nullptr);
     result.costs(i) = terms[i].loss + params_.activity_weight * activity + 0.5 * release.squaredNorm() +
                       terms[i].sigma_loss + 0.5 * hands.squaredNorm();
     if (!wanted.gradients) continue;
@@ -172,19 +176,22 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
     result.gradients = Matrix::Zero(dim(), n);
     for (Index i = 0; i < n; ++i) {
       if (!std::isfinite(result.costs(i))) continue;
-      Controls total = unlimited_gradient(x.col(i), gradients[i].controls + d_controls[i]);
+      Controls total = unlimited_gradient(points[i], gradients[i].controls + d_controls[i]);
       if (d_wanted[i].size() > 0) total += d_wanted[i];
       limit_gradient(x.col(i), total);
       result.gradients.col(i) = task_.trajectory->decode_pullback(x.col(i), horizon_, request_.state, total);
     }
   }
-  if (wanted.residuals || wanted.jacobians) add_residuals(x, cases, *prediction, terms, wanted.jacobians, result);
+  if (wanted.residuals || wanted.jacobians)
+    add_residuals(x, points, cases, *prediction, terms, wanted.jacobians, result);
   return result;
 }
 
-PredictionCase PlanningObjective::make_case(ConstVec x) const {
+PredictionCase PlanningObjective::make_case(ConstVec x) const { return case_of(decode(x)); }
+
+PredictionCase PlanningObjective::case_of(const Controls& controls) const {
   PredictionCase one{.shape = request_.shape, .previous = request_.previous, .state = request_.state};
-  one.controls = decode(x);
+  one.controls = controls;
   one.knowledge = request_.knowledge;
   one.segments = {request_.release > 0
                       ? request_.release
@@ -192,42 +199,40 @@ PredictionCase PlanningObjective::make_case(ConstVec x) const {
   return one;
 }
 
-Controls PlanningObjective::decode(ConstVec x) const {
-  const Controls wanted = wanted_controls(x);
-  return has_limits() ? within_limits(task_, request_.state, request_.hand_step, wanted).controls : wanted;
+Controls PlanningObjective::decode(ConstVec x) const { return decoded(x).limited.controls; }
+
+bool PlanningObjective::keeps_limits(ConstVec x) const { return !has_limits() || decoded(x).limited.kept; }
+
+PlanningObjective::Decoded PlanningObjective::decoded(ConstVec x) const {
+  Decoded point;
+  point.wanted = task_.trajectory->decode(x, horizon_, request_.state);
+  if (range_) {
+    for (Index j = 0; j < point.wanted.rows(); ++j)
+      point.wanted.row(j) = range_->clamp(point.wanted.row(j).transpose()).transpose();
+  }
+  if (has_limits())
+    point.limited = within_limits(task_, request_.state, request_.hand_step, point.wanted);
+  else
+    point.limited.controls = point.wanted;
+  return point;
 }
 
-bool PlanningObjective::keeps_limits(ConstVec x) const {
-  return !has_limits() || within_limits(task_, request_.state, request_.hand_step, wanted_controls(x)).kept;
-}
-
-Controls PlanningObjective::unlimited_gradient(ConstVec x, const Controls& gradient) const {
+Controls PlanningObjective::unlimited_gradient(const Decoded& point, const Controls& gradient) const {
   if (!has_limits()) return gradient;
-  const auto limited = within_limits(task_, request_.state, request_.hand_step, wanted_controls(x));
   Controls result = Controls::Zero(gradient.rows(), gradient.cols());
   for (Index j = 0; j < gradient.rows(); ++j)
-    result.row(limited.rows[j]) += gradient.row(j) / static_cast<double>(limited.parts[j]);
+    result.row(point.limited.rows[j]) += gradient.row(j) / static_cast<double>(point.limited.parts[j]);
   return result;
 }
 
-Vector PlanningObjective::hand_residuals(ConstVec x, std::vector<Controls>* gradients) const {
+Vector PlanningObjective::hand_residuals(const Decoded& point, std::vector<Controls>* gradients) const {
   if (!has_limits()) return {};
-  const Controls wanted = wanted_controls(x);
-  const Index u = task_.trajectory->release_segment(task_.manipulation, request_.state, wanted);
+  const Index u = task_.trajectory->release_segment(task_.manipulation, request_.state, point.wanted);
   const double root = std::sqrt(2.0 * kLimitWeight);
-  Vector residuals = root * limit_residuals(task_, request_.state, request_.hand_step, wanted, u, gradients);
+  Vector residuals = root * limit_residuals(task_, request_.state, request_.hand_step, point.wanted, u, gradients);
   if (gradients)
     for (auto& gradient : *gradients) gradient *= root;
   return residuals;
-}
-
-Controls PlanningObjective::wanted_controls(ConstVec x) const {
-  Controls controls = task_.trajectory->decode(x, horizon_, request_.state);
-  if (range_) {
-    for (Index j = 0; j < controls.rows(); ++j)
-      controls.row(j) = range_->clamp(controls.row(j).transpose()).transpose();
-  }
-  return controls;
 }
 
 /// A clamped control gets no gradient outwards, but keeps one inwards.
@@ -283,21 +288,19 @@ Vector PlanningObjective::shape_residuals(const Positions& mean, const Positions
 }
 
 /// d controls / dx up to the release segment u, row by row: [u C, D]. Later controls have no effect.
-Matrix PlanningObjective::decoding(ConstVec x, const PredictionCase& one) const {
-  const Index controls = one.controls.cols();
-  Matrix decode(one.segments.front() * controls, dim());
-  Controls unit = Controls::Zero(one.controls.rows(), controls);
-  const Controls uncut = task_.trajectory->decode(x, horizon_, request_.state), wanted = wanted_controls(x);
-  LimitedControls limited;
-  if (has_limits()) limited = within_limits(task_, request_.state, request_.hand_step, wanted);
+Matrix PlanningObjective::decoding(ConstVec x, const Decoded& point, Index u) const {
+  const Index controls = point.wanted.cols();
+  Matrix decode(u * controls, dim());
+  Controls unit = Controls::Zero(horizon_, controls);
+  const Controls uncut = task_.trajectory->decode(x, horizon_, request_.state);
   for (Index k = 0; k < decode.rows(); ++k) {
     const Index row = k / controls, column = k % controls;
-    const Index of = has_limits() ? limited.rows[row] : row;
-    if (uncut(of, column) != wanted(of, column)) {  // clamped: no effect
+    const Index of = has_limits() ? point.limited.rows[row] : row;
+    if (uncut(of, column) != point.wanted(of, column)) {  // clamped: no effect
       decode.row(k).setZero();
       continue;
     }
-    unit(of, column) = has_limits() ? 1.0 / static_cast<double>(limited.parts[row]) : 1.0;
+    unit(of, column) = has_limits() ? 1.0 / static_cast<double>(point.limited.parts[row]) : 1.0;
     decode.row(k) = task_.trajectory->decode_pullback(x, horizon_, request_.state, unit).transpose();
     unit(of, column) = 0.0;
   }
@@ -305,9 +308,9 @@ Matrix PlanningObjective::decoding(ConstVec x, const PredictionCase& one) const 
 }
 
 /// Eq. 4 as 1/2 |r|^2. Jacobian and gradient hold the release segment u fixed.
-void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases,
-                                      const Prediction& prediction, const std::vector<ShapeTerm>& terms,
-                                      bool with_jacobians, Evaluation& result) {
+void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<Decoded>& points,
+                                      const std::vector<PredictionCase>& cases, const Prediction& prediction,
+                                      const std::vector<ShapeTerm>& terms, bool with_jacobians, Evaluation& result) {
   const Index rows = capabilities().residuals, columns = dim(), n = x.cols();
   const double activity_weight = std::sqrt(2.0 * params_.activity_weight);
   result.residuals = Matrix::Zero(rows, n);
@@ -329,10 +332,10 @@ void PlanningObjective::add_residuals(ConstMatrix x, const std::vector<Predictio
     const Index after_activity = shape_rows() + activity.size(), after_release = after_activity + release.size();
     result.residuals.col(i).segment(after_activity, release.size()) = release;
     std::vector<Controls> d_hands;
-    const Vector hands = hand_residuals(x.col(i), with_jacobians ? &d_hands : nullptr);
+    const Vector hands = hand_residuals(points[i], with_jacobians ? &d_hands : nullptr);
     result.residuals.col(i).tail(hands.size()) = hands;
     if (!with_jacobians) continue;
-    const Matrix decode = decoding(x.col(i), one);
+    const Matrix decode = decoding(x.col(i), points[i], u);
     for (Index k = 0; k < hands.size(); ++k) {
       if (hands(k) > 0.0)
         result.jacobians[i].row(after_release + k) =

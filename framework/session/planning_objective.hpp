@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "session/planner.hpp"
+#include "simulation/hand_limits.hpp"
 
 namespace weft {
 
@@ -30,8 +31,9 @@ class PlanningObjective final : public Objective {
   Controls decode(ConstVec x) const;
   /// Whether they keep the limits in the first frame (LimitedControls::kept).
   bool keeps_limits(ConstVec x) const;
-  /// The loss if the plan ended in this shape. @param shape [V, 3] m. @param u its release segment.
-  double loss_of(const Positions& shape, const Controls& controls, Index u) const;
+  /// The loss if the plan ended in this shape, the penalty of the hands' limits included. @param shape [V, 3] m. @param u its
+  /// release segment.
+  double loss_of(const Positions& shape, ConstVec x, Index u) const;
   Index evaluations() const { return evaluations_; }
 
  private:
@@ -46,12 +48,18 @@ class PlanningObjective final : public Objective {
   /// The penalty's residuals, [2] or [0]. @param gradients null, or set to their gradients with respect to the controls.
   Vector release_residuals(const Controls& controls, std::vector<Controls>* gradients) const;
   void limit_gradient(ConstVec x, Controls& gradient) const;
-  /// Before the limits of the hands, [horizon, C].
-  Controls wanted_controls(ConstVec x) const;
-  /// dL/d wanted_controls() from dL/d decode(). Where a row was moved to keep the workspace, it counts as if it had not been.
-  Controls unlimited_gradient(ConstVec x, const Controls& gradient) const;
-  /// The penalty's residuals, [4 horizon] or [0]. @param gradients as in limit_residuals(), of wanted_controls().
-  Vector hand_residuals(ConstVec x, std::vector<Controls>* gradients) const;
+  /// The controls of a decision vector, [horizon, C]: before the limits of the hands, and within them.
+  struct Decoded {
+    Controls wanted;
+    LimitedControls limited;  // without limits its controls alone
+  };
+  Decoded decoded(ConstVec x) const;
+  PredictionCase case_of(const Controls& controls) const;
+  /// dL/d Decoded::wanted from dL/d Decoded::limited. Where a row was moved to keep the workspace, it counts as if it had
+  /// not been.
+  Controls unlimited_gradient(const Decoded& point, const Controls& gradient) const;
+  /// The penalty's residuals, [4 horizon] or [0]. @param gradients as in limit_residuals(), of Decoded::wanted.
+  Vector hand_residuals(const Decoded& point, std::vector<Controls>* gradients) const;
   bool has_limits() const { return task_.hands.any(); }
   Index shape_rows() const {
     const Index coordinates = 3 * task_.garment->vertex_count();
@@ -61,9 +69,10 @@ class PlanningObjective final : public Objective {
   /// The residuals of a shape, [shape_rows()]; or their change with a change of it, the nearest points fixed.
   Vector shape_residuals(const Positions& mean, const Positions* sigma, const ShapeTerm& term, bool is_change) const;
   bool uses_jvp(const EvaluationRequest& wanted) const { return wanted.jacobians && predictor_.capabilities().jvp; }
-  void add_residuals(ConstMatrix x, const std::vector<PredictionCase>& cases, const Prediction& prediction,
-                     const std::vector<ShapeTerm>& terms, bool with_jacobians, Evaluation& result);
-  Matrix decoding(ConstVec x, const PredictionCase& one) const;
+  void add_residuals(ConstMatrix x, const std::vector<Decoded>& points, const std::vector<PredictionCase>& cases,
+                     const Prediction& prediction, const std::vector<ShapeTerm>& terms, bool with_jacobians,
+                     Evaluation& result);
+  Matrix decoding(ConstVec x, const Decoded& point, Index u) const;
 
   const Task& task_;
   const Predictor& predictor_;

@@ -46,11 +46,18 @@ void require_one_step(const SessionParams& params, const ConfigNode& config, con
             " takes one; run the config of a step (step_1/config.yaml of a result)");
 }
 
+void rehearse_steps(const std::vector<SessionStep>& steps, Host& host) {
+  for (std::size_t k = 0; k < steps.size(); ++k) {
+    SessionParams params = steps[k].params;
+    if (k > 0) params.task.manipulation.limits = {};
+    rehearse_session(params, steps[k].config, host);
+  }
+}
+
 SessionResult run_sequence(const SessionParams& params, const ConfigNode& config, Host& host,
                            const SessionProgress& progress, const StepDone& done) {
   const auto steps = session_steps(params, config);
-  if (steps.size() > 1)
-    for (const auto& step : steps) rehearse_session(step.params, step.config, host);
+  if (steps.size() > 1) rehearse_steps(steps, host);
   SessionResult result;
   std::vector<TrialRecord> records;
   std::shared_ptr<const StartShape> start;

@@ -21,6 +21,10 @@ std::vector<SessionStep> session_steps(const SessionParams& params, const Config
 /// Refuses a session of several steps, for commands that take one fold. @param command for the message.
 void require_one_step(const SessionParams& params, const ConfigNode& config, const std::string& command);
 
+/// rehearse_session() of every step. The limits of the hands of a later step are not checked: where they begin is known only
+/// when the cloth lies there.
+void rehearse_steps(const std::vector<SessionStep>& steps, Host& host);
+
 /// Called after every step. @param task the step's.
 using StepDone =
     std::function<void(const SessionStep& step, Index number, const Task& task, const SessionResult& result)>;

@@ -406,7 +406,7 @@ TEST(PlanningObjective, AFixedReleaseIsKeptByAPenalty) {
     const double penalty = 0.5 * e.residuals.bottomRows(2).squaredNorm();
     EXPECT_EQ(penalty > 0.0, release != u) << release;
     const double shape_alone =
-        f.loss_of(setup.predictor->predict({f.make_case(x)}, {})->shapes().front().front().mean, f.decode(x), release);
+        f.loss_of(setup.predictor->predict({f.make_case(x)}, {})->shapes().front().front().mean, x, release);
     EXPECT_NEAR(e.costs(0), shape_alone + penalty, 1e-9 * e.costs(0));
     for (Index k = 0; k < x.size(); k += 7) {
       const double step = 1e-6 * setup.task.trajectory->decision_scale(25)(k);
@@ -420,6 +420,28 @@ TEST(PlanningObjective, AFixedReleaseIsKeptByAPenalty) {
   setup.request.release = 26;
   const Vector weights = Vector::Ones(2);
   EXPECT_THROW(PlanningObjective(setup.task, *setup.predictor, setup.params, weights, setup.request, 25), ShapeError);
+}
+
+TEST(PlanningObjective, LimitsOfTheHandsArePartOfCostResidualsAndDerivatives) {
+  Bench setup;
+  const Vector weights = Vector::Ones(2);
+  setup.params.difference_step = 1e-3;
+  const auto evaluated = [&](double speed) {
+    setup.task.hands.speed = speed;
+    PlanningObjective f(setup.task, *setup.predictor, setup.params, weights, setup.request, 25);
+    const Vector x = setup.task.trajectory->encode(setup.task.trajectory->default_controls(25), setup.request.state);
+    const Evaluation e = f.evaluate(x, {0}, {.gradients = true, .residuals = true, .jacobians = true});
+    EXPECT_NEAR(0.5 * e.residuals.squaredNorm(), e.costs(0), 1e-9 * e.costs(0)) << speed;
+    EXPECT_LT((e.jacobians[0].transpose() * e.residuals - e.gradients).norm(), 1e-4 * e.gradients.norm()) << speed;
+    // What a simulated plan costs is what the search takes for its cost, where the simulation ends as predicted.
+    const PredictionCase one = f.make_case(x);
+    const Positions shape = setup.predictor->predict({one}, {})->shapes().front().front().mean;
+    EXPECT_NEAR(f.loss_of(shape, x, one.segments.front()), e.costs(0), 1e-9 * e.costs(0)) << speed;
+    return e;
+  };
+  const Evaluation any = evaluated(HandLimits::kNone), slow = evaluated(0.3);
+  EXPECT_EQ(slow.residuals.rows(), any.residuals.rows() + 4 * 25);
+  EXPECT_GT(slow.residuals.bottomRows(4 * 25).norm(), 0.0) << "the limit is so wide that the test shows little";
 }
 
 TEST(Planner, KeepsTheBestPlanOfEveryReleaseSegment) {

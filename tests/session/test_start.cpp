@@ -117,6 +117,21 @@ TEST_F(Start, StepsWithKeysThatTheyCannotHaveAreRefused) {
   EXPECT_NE(refused("[{max_segments: 0}]").find("max_segments"), std::string::npos);
 }
 
+TEST_F(Start, LimitsOfALaterStepAreCheckedWhereTheClothThenLies) {
+  // Where two vertices are as far apart as these must be is known only after the first fold.
+  const auto rehearsed = [&](const std::string& first, const std::string& later) {
+    ConfigNode config = ConfigNode::load(folder_.write("steps.yaml", task_text()));
+    config = apply_override(config, "manipulations=[{manipulation: {limits: {distance_m: " + first +
+                                        "}}}, {manipulation: {limits: {distance_m: " + later + "}}}]");
+    SessionParams params;
+    read_params(config, params);
+    const auto host = make_host(std::make_shared<PluginRegistry>(), {.threads = 1});
+    rehearse_steps(session_steps(params, config), *host);
+  };
+  EXPECT_NE(test::message_of<ConfigError>([&] { rehearsed("3", "0"); }).find("distance_m"), std::string::npos);
+  EXPECT_NO_THROW(rehearsed("0", "3"));
+}
+
 TEST_F(Start, OfAnotherGarmentIsRefused) {
   const auto file = first_fold();
   const std::string reason = test::message_of<ConfigError>(
