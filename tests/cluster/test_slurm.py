@@ -408,7 +408,7 @@ def learned(bench):
     bench.submit(work, "model", file=file)
     bench.require_done(work, file=file)
     # What was planned decides the numeric variant, also on a machine that would choose another one.
-    plan = re.sub(r'"kernels": "v\d"', '"kernels": "v2"', (bench.out / "slurm/train-model/identity.json").read_text())
+    plan = re.sub(r'"kernels": "\w+"', '"kernels": "v2"', (bench.out / "slurm/train-model/identity.json").read_text())
     require('"kernels": "v2"' in plan, f"no variant was planned: {plan}")
     (bench.folder / "variant/slurm/train-model").mkdir(parents=True)
     (bench.folder / "variant/slurm/train-model/identity.json").write_text(plan)

@@ -354,7 +354,7 @@ std::unique_ptr<Prediction> EmdPredictor::predict(const std::vector<PredictionCa
 FitReport EmdPredictor::fit(const Dataset& dataset, const Task& task, const FitOptions& options,
                             const FitObserver& observer) {
   const auto run = reinterpret_cast<FitFunction>(training_function("weft_emd_fit", params_.kernels));
-  FitJob job{dataset, task, params_.architecture, params_.training, options, observer, host_, {}, {}};
+  FitJob job{dataset, task, params_.architecture, params_.training, options, observer, host_, params_.kernels, {}, {}};
   run(job);
   model_ = options.ranks.rank == 0 ? std::make_shared<const Model>(std::move(job.model)) : nullptr;
   bound_.reset();

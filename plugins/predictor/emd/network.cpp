@@ -6,8 +6,6 @@
 namespace weft::emd {
 namespace {
 
-std::size_t size_of(Index rows, Index columns) { return rows * columns; }
-
 void add(float* to, const float* from, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) to[i] += from[i];
 }
@@ -19,60 +17,110 @@ Network::Network(const Model& model, const Kernels& kernels)
       arch_(model.architecture),
       dim_(model.dimensions),
       layout_(arch_, dim_),
-      weights_(model.weights),
       z_(model.latent_size()),
       norm_all_(arch_.latent_normalisation == "all"),
       norm_(norm_all_ || (arch_.latent_normalisation == "memory" && arch_.memory > 0)),
       floor_(static_cast<float>(arch_.sigma_floor_m) / kLength) {
-  encoder_shape_ = pack(layout_.encoder_shape);
-  if (arch_.previous_shape) encoder_velocity_ = pack(layout_.encoder_velocity);
-  encoder_out_ = pack(layout_.encoder_out);
-  for (const auto& layer : layout_.layers) {
-    layer_h_.push_back(pack(layer.h));
-    layer_u_.push_back(layer.u < 0 ? Packed{} : pack(layer.u));
-  }
-  out_h_ = pack(layout_.out.h);
-  if (layout_.out.u >= 0) out_u_ = pack(layout_.out.u);
-  decoder_in_ = pack(layout_.decoder_in);
-  mean_ = pack(layout_.mean);
-  sigma_ = pack(layout_.sigma);
   if (model.needs_basis()) {
     const Index n = dim_.coordinates(), l = arch_.latent;
-    std::vector<float> project(model.basis), expand(model.basis.size());
+    std::vector<float> project(model.basis);
+    expansion_.resize(model.basis.size());
     for (Index i = 0; i < n; ++i) {
       for (Index j = 0; j < l; ++j) {
         const float b = model.basis[size_of(i, l) + j];
         const float s = model.scale[j];
         project[size_of(i, l) + j] = b / s;
-        expand[size_of(j, n) + i] = b * s;
+        expansion_[size_of(j, n) + i] = b * s;
       }
     }
-    project_ = pack(project.data(), n, l);
-    expand_ = pack(expand.data(), l, n);
+    project_ = pack(project.data(), n, l, false);
+  }
+  if (!model.weights.empty()) pack_all(model.weights.data(), false, nullptr);
+}
+
+void Network::set_weights(const float* weights, const std::vector<std::int64_t>& columns, Host& host) {
+  columns_ = columns;
+  pack_all(weights, true, &host);
+}
+
+bool Network::is_decoded(int weight) const {
+  return weight == layout_.mean || weight == layout_.mean_bias || weight == layout_.sigma ||
+         weight == layout_.sigma_bias;
+}
+
+void Network::pack_all(const float* weights, bool for_training, Host* host) {
+  const auto all = layout_.weights.size();
+  layer_h_.resize(layout_.layers.size());
+  layer_u_.resize(layout_.layers.size());
+  biases_.resize(all);
+  struct Work {
+    int weight;  // -1: expansion_
+    Packed* to;  // null: a bias
+    bool products = false;
+  };
+  std::vector<Work> work;
+  for (int i = 0; i < static_cast<int>(all); ++i)
+    if (layout_.weights[i].rows == 1) work.push_back({i, nullptr});
+  // The derivatives with respect to inputs and shapes are not wanted in training.
+  work.push_back({layout_.encoder_shape, &encoder_shape_, for_training});
+  if (arch_.previous_shape) work.push_back({layout_.encoder_velocity, &encoder_velocity_, for_training});
+  work.push_back({layout_.encoder_out, &encoder_out_});
+  for (std::size_t l = 0; l < layer_h_.size(); ++l) {
+    work.push_back({layout_.layers[l].h, &layer_h_[l]});
+    if (layout_.layers[l].u >= 0) work.push_back({layout_.layers[l].u, &layer_u_[l], for_training});
+  }
+  work.push_back({layout_.out.h, &out_h_});
+  if (layout_.out.u >= 0) work.push_back({layout_.out.u, &out_u_, for_training});
+  work.push_back({layout_.decoder_in, &decoder_in_});
+  work.push_back({layout_.mean, &mean_});
+  work.push_back({layout_.sigma, &sigma_});
+  if (arch_.pca_skip) work.push_back({-1, &expand_});
+  const auto run = [&](std::int64_t number) {
+    const Work& one = work[number];
+    const bool is_expansion = one.weight < 0;
+    const float* from = is_expansion ? expansion_.data() : weights + layout_.weights[one.weight].offset;
+    const Index rows = is_expansion ? arch_.latent : layout_.weights[one.weight].rows;
+    Index columns = is_expansion ? dim_.coordinates() : layout_.weights[one.weight].columns;
+    std::vector<float> some;
+    if (!columns_.empty() && (is_expansion || is_decoded(one.weight))) {
+      some.reserve(size_of(rows, decoded()));
+      for (Index i = 0; i < rows; ++i)
+        for (const std::int64_t c : columns_) some.push_back(from[size_of(i, columns) + c]);
+      from = some.data();
+      columns = decoded();
+    }
+    if (one.to == nullptr)
+      biases_[one.weight].assign(from, from + columns);
+    else
+      *one.to = pack(from, rows, columns, one.products);
+  };
+  if (host != nullptr) {
+    host->parallel_for(std::ssize(work), run);
+  } else {
+    for (std::int64_t i = 0; i < std::ssize(work); ++i) run(i);
   }
 }
 
-Network::Packed Network::pack(const float* data, Index k, Index n) const {
+Network::Packed Network::pack(const float* data, Index k, Index n, bool products) const {
   Packed p{k, n, {}, {}};
   const std::size_t rows = k, columns = n;
-  p.forward.resize(kernels_.packed_size(rows, columns));
-  p.backward.resize(kernels_.packed_size(columns, rows));
-  kernels_.pack(rows, columns, data, columns, 1, p.forward.data());
-  kernels_.pack(columns, rows, data, 1, columns, p.backward.data());
+  const auto packed = [&](std::size_t depth, std::size_t width, std::size_t row_stride, std::size_t column_stride) {
+    std::vector<Packed::Line> lines((kernels_.packed_size(depth, width) + 15) / 16);
+    kernels_.pack(depth, width, data, row_stride, column_stride, lines.front().values);
+    return lines;
+  };
+  p.forward = packed(rows, columns, columns, 1);
+  if (!products) p.backward = packed(columns, rows, 1, columns);
   return p;
-}
-Network::Packed Network::pack(int weight) const {
-  const auto& w = layout_.weights[weight];
-  return pack(weights_.data() + w.offset, w.rows, w.columns);
 }
 
 void Network::times(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc, const float* start,
                     bool accumulate) const {
-  kernels_.gemm(m, b.k, b.n, a, lda, b.forward.data(), c, ldc, start, accumulate);
+  kernels_.gemm(m, b.k, b.n, a, lda, b.forward.front().values, c, ldc, start, accumulate);
 }
 void Network::times_transposed(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc,
                                bool accumulate) const {
-  kernels_.gemm(m, b.n, b.k, a, lda, b.backward.data(), c, ldc, nullptr, accumulate);
+  kernels_.gemm(m, b.n, b.k, a, lda, b.backward.front().values, c, ldc, nullptr, accumulate);
 }
 
 void Network::normalise(Index rows, float* z, std::vector<float>& factor) const {
@@ -116,15 +164,20 @@ void Network::forward(const Block& block, Tape& tape, float* mean, float* sigma)
   decode(block, tape, mean, sigma);
 }
 
+std::vector<float> Network::velocities(const Block& block) const {
+  std::vector<float> velocity(size_of(block.rows, arch_.latent));
+  times(project_, block.rows, block.change.data(), dim_.coordinates(), velocity.data(), arch_.latent, nullptr, false);
+  for (float& v : velocity) v *= kVelocityGain;
+  return velocity;
+}
+
 void Network::encode(const Block& block, Tape& tape) const {
   const Index n = dim_.coordinates(), rows = block.rows;
   tape.encoder_pre.resize(size_of(rows, arch_.encoder_hidden));
   times(encoder_shape_, rows, block.shape.data(), n, tape.encoder_pre.data(), arch_.encoder_hidden,
         bias(layout_.encoder_bias), false);
   if (arch_.previous_shape) {
-    std::vector<float> velocity(size_of(rows, arch_.latent));
-    times(project_, rows, block.change.data(), n, velocity.data(), arch_.latent, nullptr, false);
-    for (float& v : velocity) v *= kVelocityGain;
+    const std::vector<float> velocity = velocities(block);
     times(encoder_velocity_, rows, velocity.data(), arch_.latent, tape.encoder_pre.data(), arch_.encoder_hidden,
           nullptr, true);
   }
@@ -184,7 +237,7 @@ void Network::advance(const Block& block, Tape& tape) const {
 }
 
 void Network::decode(const Block& block, Tape& tape, float* mean, float* sigma) const {
-  const Index n = dim_.coordinates(), rows = block.rows;
+  const Index n = decoded(), rows = block.rows;
   const Index wanted = block.wanted.size();
   const Index width = arch_.decoder_hidden;
   std::vector<float> z(size_of(wanted, z_));
@@ -219,7 +272,12 @@ void Network::decode(const Block& block, Tape& tape, float* mean, float* sigma) 
       const Index row = block.wanted[w].row;
       for (Index i = 0; i < width; ++i) features[size_of(w, width) + i] -= start[size_of(row, width) + i];
       for (Index i = 0; i < z_; ++i) z[size_of(w, z_) + i] -= tape.z[0][size_of(row, z_) + i];
-      std::copy_n(block.shape.data() + size_of(row, n), n, mean + size_of(w, n));
+      const float* from = block.shape.data() + size_of(row, dim_.coordinates());
+      float* to = mean + size_of(w, n);
+      if (columns_.empty())
+        std::copy_n(from, n, to);
+      else
+        std::transform(columns_.begin(), columns_.end(), to, [&](std::int64_t c) { return from[c]; });
     }
     times(mean_, wanted, features.data(), width, mean, n, nullptr, true);
   } else {
@@ -230,98 +288,108 @@ void Network::decode(const Block& block, Tape& tape, float* mean, float* sigma) 
 
 void Network::pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma, float* d_inputs,
                        float* d_shape, float* d_change) const {
-  std::vector<std::vector<float>> dz(tape.z.size());
-  for (std::size_t j = 0; j < dz.size(); ++j) dz[j].assign(tape.z[j].size(), 0.0f);
-  if (d_shape != nullptr) std::fill_n(d_shape, size_of(block.rows, dim_.coordinates()), 0.0f);
-  decode_pullback(block, tape, d_mean, d_sigma, dz, d_shape);
-  advance_pullback(block, tape, dz, d_inputs, d_shape != nullptr);
-  if (d_shape != nullptr) encode_pullback(block, tape, dz[0].data(), d_shape, d_change);
+  const bool to_start = d_shape != nullptr;
+  Cotangents d;
+  if (to_start) std::fill_n(d_shape, size_of(block.rows, dim_.coordinates()), 0.0f);
+  decode_pullback(block, tape, d_mean, d_sigma, d, to_start, d_shape);
+  advance_pullback(block, tape, d, to_start, d_inputs);
+  if (!to_start) return;
+  encode_pullback(block, tape, d);
+  shape_pullback(block, d, d_shape, d_change);
 }
 
 void Network::decode_pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma,
-                              std::vector<std::vector<float>>& dz, float* d_shape) const {
-  const Index n = dim_.coordinates(), rows = block.rows;
+                              Cotangents& d, bool to_start, float* d_shape) const {
+  const Index n = decoded(), rows = block.rows;
   const Index wanted = block.wanted.size();
   const Index width = arch_.decoder_hidden;
-  std::vector<float> d_features(size_of(wanted, width), 0.0f), d_code(size_of(wanted, z_), 0.0f);
+  d.z.resize(tape.z.size());
+  for (std::size_t j = 0; j < d.z.size(); ++j) d.z[j].assign(tape.z[j].size(), 0.0f);
+  d.decoder.assign(size_of(wanted, width), 0.0f);
+  std::vector<float> d_code(size_of(wanted, z_), 0.0f);
   if (d_mean != nullptr) {
-    times_transposed(mean_, wanted, d_mean, n, d_features.data(), width, false);
+    times_transposed(mean_, wanted, d_mean, n, d.decoder.data(), width, false);
     if (arch_.pca_skip) times_transposed(expand_, wanted, d_mean, n, d_code.data(), z_, false);
-    if (arch_.differential_decoding && d_shape != nullptr) {
-      std::vector<float> d_start(size_of(rows, width), 0.0f);
+    if (arch_.differential_decoding && to_start) {
+      d.start.assign(size_of(rows, width), 0.0f);
       for (Index w = 0; w < wanted; ++w) {
         const Index row = block.wanted[w].row;
-        for (Index i = 0; i < width; ++i) d_start[size_of(row, width) + i] -= d_features[size_of(w, width) + i];
-        for (Index i = 0; i < z_; ++i) dz[0][size_of(row, z_) + i] -= d_code[size_of(w, z_) + i];
-        add(d_shape + size_of(row, n), d_mean + size_of(w, n), n);
+        for (Index i = 0; i < width; ++i) d.start[size_of(row, width) + i] -= d.decoder[size_of(w, width) + i];
+        for (Index i = 0; i < z_; ++i) d.z[0][size_of(row, z_) + i] -= d_code[size_of(w, z_) + i];
+        if (d_shape != nullptr) add(d_shape + size_of(row, n), d_mean + size_of(w, n), n);
       }
-      kernels_.activate_pullback(d_start.size(), tape.start_pre.data(), d_start.data(), tanh());
-      times_transposed(decoder_in_, rows, d_start.data(), width, dz[0].data(), z_, true);
+      kernels_.activate_pullback(d.start.size(), tape.start_pre.data(), d.start.data(), tanh());
+      times_transposed(decoder_in_, rows, d.start.data(), width, d.z[0].data(), z_, true);
     }
   }
   if (d_sigma != nullptr) {
-    std::vector<float> d_log(size_of(wanted, n));
-    for (std::size_t i = 0; i < d_log.size(); ++i) d_log[i] = d_sigma[i] * tape.sigma_exp[i];
-    times_transposed(sigma_, wanted, d_log.data(), n, d_features.data(), width, true);
+    d.log_sigma.resize(size_of(wanted, n));
+    for (std::size_t i = 0; i < d.log_sigma.size(); ++i) d.log_sigma[i] = d_sigma[i] * tape.sigma_exp[i];
+    times_transposed(sigma_, wanted, d.log_sigma.data(), n, d.decoder.data(), width, true);
   }
-  kernels_.activate_pullback(d_features.size(), tape.decoder_pre.data(), d_features.data(), tanh());
-  times_transposed(decoder_in_, wanted, d_features.data(), width, d_code.data(), z_, true);
+  kernels_.activate_pullback(d.decoder.size(), tape.decoder_pre.data(), d.decoder.data(), tanh());
+  times_transposed(decoder_in_, wanted, d.decoder.data(), width, d_code.data(), z_, true);
   for (Index w = 0; w < wanted; ++w) {
     const auto& one = block.wanted[w];
-    add(dz[one.step].data() + size_of(one.row, z_), d_code.data() + size_of(w, z_), z_);
+    add(d.z[one.step].data() + size_of(one.row, z_), d_code.data() + size_of(w, z_), z_);
   }
 }
 
-void Network::advance_pullback(const Block& block, const Tape& tape, std::vector<std::vector<float>>& dz,
-                               float* d_inputs, bool to_start) const {
+void Network::advance_pullback(const Block& block, const Tape& tape, Cotangents& d, bool to_start,
+                               float* d_inputs) const {
   const Index hidden = arch_.hidden, u = dim_.inputs(), total = block.total();
   const auto layers = layer_h_.size();
-  std::vector<std::vector<float>> d_pre(layers, std::vector<float>(size_of(total, hidden)));
-  std::vector<float> d_update(size_of(total, z_));
+  d.pre.assign(layers, std::vector<float>(size_of(total, hidden)));
+  d.update.resize(size_of(total, z_));
   for (std::size_t at = tape.running.size(); at-- > 0;) {
     const Index m = tape.running[at];
     const std::size_t first = size_of(tape.offset[at], hidden), count = size_of(m, hidden);
-    float* g = dz[at + 1].data();
+    float* g = d.z[at + 1].data();
     for (Index r = 0; r < m; ++r)
       normalise_derivative(g + size_of(r, z_), tape.z[at + 1].data() + size_of(r, z_), tape.norm[at + 1][r]);
-    std::copy_n(g, size_of(m, z_), d_update.data() + size_of(tape.offset[at], z_));
+    std::copy_n(g, size_of(m, z_), d.update.data() + size_of(tape.offset[at], z_));
     const bool to_state = at > 0 || to_start;
-    if (arch_.differential_latent && to_state) add(dz[at].data(), g, size_of(m, z_));
-    for (auto& d : d_pre) std::fill_n(d.data() + first, count, 0.0f);
-    times_transposed(out_h_, m, g, z_, d_pre[layers - 1].data() + first, hidden, true);
+    if (arch_.differential_latent && to_state) add(d.z[at].data(), g, size_of(m, z_));
+    times_transposed(out_h_, m, g, z_, d.pre[layers - 1].data() + first, hidden, true);
     for (std::size_t l = layers; l-- > 0;) {
-      float* d = d_pre[l].data() + first;  // so far: the cotangent of the layer's output
-      if (const Index skip = skip_of(l); skip >= 0) add(d_pre[skip].data() + first, d, count);
-      kernels_.activate_pullback(count, tape.pre[l].data() + first, d, tanh());
+      float* here = d.pre[l].data() + first;  // so far: the cotangent of the layer's output
+      if (const Index skip = skip_of(l); skip >= 0) add(d.pre[skip].data() + first, here, count);
+      kernels_.activate_pullback(count, tape.pre[l].data() + first, here, tanh());
       if (l > 0) {
-        times_transposed(layer_h_[l], m, d, hidden, d_pre[l - 1].data() + first, hidden, true);
+        times_transposed(layer_h_[l], m, here, hidden, d.pre[l - 1].data() + first, hidden, true);
       } else if (to_state) {
-        times_transposed(layer_h_[0], m, d, hidden, dz[at].data(), z_, true);
+        times_transposed(layer_h_[0], m, here, hidden, d.z[at].data(), z_, true);
       }
     }
   }
+  if (d_inputs == nullptr) return;
   std::fill_n(d_inputs, size_of(total, u), 0.0f);
   for (std::size_t l = 0; l < layers; ++l) {
-    if (layout_.layers[l].u >= 0) times_transposed(layer_u_[l], total, d_pre[l].data(), hidden, d_inputs, u, true);
+    if (layout_.layers[l].u >= 0) times_transposed(layer_u_[l], total, d.pre[l].data(), hidden, d_inputs, u, true);
   }
-  if (layout_.out.u >= 0) times_transposed(out_u_, total, d_update.data(), z_, d_inputs, u, true);
+  if (layout_.out.u >= 0) times_transposed(out_u_, total, d.update.data(), z_, d_inputs, u, true);
 }
 
-void Network::encode_pullback(const Block& block, const Tape& tape, float* g, float* d_shape, float* d_change) const {
-  const Index n = dim_.coordinates(), rows = block.rows;
+void Network::encode_pullback(const Block& block, const Tape& tape, Cotangents& d) const {
+  const Index rows = block.rows;
+  float* g = d.z[0].data();
   for (Index r = 0; r < rows; ++r)
     normalise_derivative(g + size_of(r, z_), tape.z[0].data() + size_of(r, z_), tape.norm[0][r]);
-  if (arch_.pca_skip) times_transposed(project_, rows, g, z_, d_shape, n, true);
-  std::vector<float> d_hidden(size_of(rows, arch_.encoder_hidden));
-  times_transposed(encoder_out_, rows, g, z_, d_hidden.data(), arch_.encoder_hidden, false);
-  kernels_.activate_pullback(d_hidden.size(), tape.encoder_pre.data(), d_hidden.data(), tanh());
-  times_transposed(encoder_shape_, rows, d_hidden.data(), arch_.encoder_hidden, d_shape, n, true);
+  d.encoder.resize(size_of(rows, arch_.encoder_hidden));
+  times_transposed(encoder_out_, rows, g, z_, d.encoder.data(), arch_.encoder_hidden, false);
+  kernels_.activate_pullback(d.encoder.size(), tape.encoder_pre.data(), d.encoder.data(), tanh());
+}
+
+void Network::shape_pullback(const Block& block, const Cotangents& d, float* d_shape, float* d_change) const {
+  const Index n = dim_.coordinates(), rows = block.rows;
+  if (arch_.pca_skip) times_transposed(project_, rows, d.z[0].data(), z_, d_shape, n, true);
+  times_transposed(encoder_shape_, rows, d.encoder.data(), arch_.encoder_hidden, d_shape, n, true);
   if (!arch_.previous_shape) {
     std::fill_n(d_change, size_of(rows, n), 0.0f);
     return;
   }
   std::vector<float> d_velocity(size_of(rows, arch_.latent));
-  times_transposed(encoder_velocity_, rows, d_hidden.data(), arch_.encoder_hidden, d_velocity.data(), arch_.latent,
+  times_transposed(encoder_velocity_, rows, d.encoder.data(), arch_.encoder_hidden, d_velocity.data(), arch_.latent,
                    false);
   for (float& v : d_velocity) v *= kVelocityGain;
   times_transposed(project_, rows, d_velocity.data(), arch_.latent, d_change, n, false);

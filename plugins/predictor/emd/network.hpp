@@ -1,11 +1,16 @@
 #pragma once
+#include <cstdint>
 #include <numeric>
 #include <vector>
 
 #include "kernels/kernels.hpp"
 #include "model.hpp"
+#include "weft/host.hpp"
 
 namespace weft::emd {
+
+/// Entries of a matrix.
+inline std::size_t size_of(Index rows, Index columns) { return rows * columns; }
 
 /// A few cases that run through the network side by side, row by row. Rows are ordered by descending `steps`.
 struct Block {
@@ -29,11 +34,18 @@ struct Block {
   Index total() const { return std::accumulate(steps.begin(), steps.end(), Index{0}); }
 };
 
-/// Prediction without a graph: the forward pass keeps a tape, and the pullback and the jvp are written out by hand.
-/// Immutable and thread-safe. A row's results do not depend on the other rows.
+/// The network without a graph: the forward pass keeps a tape, and the pullback, the jvp and the gradient of the weights are
+/// written out by hand. Thread-safe but for set_weights(). A row's results do not depend on the other rows.
 class Network {
  public:
+  /// With the model's weights.
   explicit Network(const Model& model, const Kernels& kernels);
+
+  /// For training: takes other weights, for forward() and weight_gradient() alone.
+  /// @param weights [Layout::size], not kept. @param columns coordinates that the decoder gives, ascending; empty: all.
+  void set_weights(const float* weights, const std::vector<std::int64_t>& columns, Host& host);
+  /// Coordinates that the decoder gives.
+  Index decoded() const { return columns_.empty() ? dim_.coordinates() : static_cast<Index>(columns_.size()); }
 
   struct Tape {
     std::vector<Index> running, offset;         // per segment
@@ -43,16 +55,20 @@ class Network {
     std::vector<float> encoder_pre;             // [rows, encoder_hidden]
     std::vector<float> decoder_pre;             // [wanted, decoder_hidden]
     std::vector<float> start_pre;               // [rows, decoder_hidden], differential decoding
-    std::vector<float> sigma_exp;               // [wanted, coordinates]: e^s, 0 where s is at its upper end
+    std::vector<float> sigma_exp;               // [wanted, decoded()]: e^s, 0 where s is at its upper end
   };
 
-  /// @param mean, sigma [wanted, coordinates], normalised; sigma may be null.
+  /// @param mean, sigma [wanted, decoded()], normalised; sigma may be null.
   void forward(const Block& block, Tape& tape, float* mean, float* sigma) const;
   /// @param d_mean, d_sigma [wanted, coordinates], either may be null.
   /// @param d_inputs [total, inputs], overwritten.
   /// @param d_shape, d_change [rows, coordinates], overwritten; if both are null, the encoder's pullback is skipped.
   void pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma, float* d_inputs,
                 float* d_shape, float* d_change) const;
+  /// The gradient of <d_mean, mean> + <d_sigma, sigma> with respect to the weights.
+  /// @param d_mean, d_sigma [wanted, decoded()]. @param gradient [Layout::size], overwritten.
+  void weight_gradient(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma,
+                       std::vector<float>& gradient) const;
   /// Derivatives of mean and sigma along directions in the inputs. Direction t belongs to row `rows[t]`, ascending.
   /// @param d_inputs [sum of steps of the directions, inputs], segment by segment as Block::inputs.
   /// @param d_mean, d_sigma [directions' wanted shapes, coordinates]: for each direction in turn, the wanted shapes of
@@ -63,26 +79,55 @@ class Network {
  private:
   // forward(), in three steps: shapes to latent states, segment by segment, latent states to the wanted shapes.
   void encode(const Block& block, Tape& tape) const;
+  std::vector<float> velocities(const Block& block) const;  ///< [rows, latent]: the encoder's second input
   void advance(const Block& block, Tape& tape) const;
   void decode(const Block& block, Tape& tape, float* mean, float* sigma) const;
-  // The pullbacks of these steps. dz: cotangents of tape.z; dz[0] is that of the encoder's output.
-  /// Adds to dz and d_shape. If d_shape is null, the part that reaches the encoder is skipped.
-  void decode_pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma,
-                       std::vector<std::vector<float>>& dz, float* d_shape) const;
-  /// @param to_start whether dz[0] is wanted.
-  void advance_pullback(const Block& block, const Tape& tape, std::vector<std::vector<float>>& dz, float* d_inputs,
-                        bool to_start) const;
-  /// @param g dz[0]; overwritten. Adds to d_shape, overwrites d_change.
-  void encode_pullback(const Block& block, const Tape& tape, float* g, float* d_shape, float* d_change) const;
+  /// Cotangents of what forward() computes, from the end to the start. A product's are those of its result.
+  struct Cotangents {
+    std::vector<std::vector<float>> z;    // of Tape::z; z[0] is that of the encoder's output
+    std::vector<float> log_sigma;         // [wanted, decoded()]
+    std::vector<float> decoder, start;    // of Tape::decoder_pre and start_pre
+    std::vector<std::vector<float>> pre;  // of Tape::pre
+    std::vector<float> update;            // [total, latent_size]: of the module's read-out
+    std::vector<float> encoder;           // of Tape::encoder_pre
+  };
+  // The pullbacks of these steps.
+  /// Adds to Cotangents::z. @param to_start whether z[0] is wanted. @param d_shape added to; may be null.
+  void decode_pullback(const Block& block, const Tape& tape, const float* d_mean, const float* d_sigma, Cotangents& d,
+                       bool to_start, float* d_shape) const;
+  /// @param d_inputs may be null.
+  void advance_pullback(const Block& block, const Tape& tape, Cotangents& d, bool to_start, float* d_inputs) const;
+  /// Cotangents::encoder from z[0], which becomes that of the encoder's output before its normalisation.
+  void encode_pullback(const Block& block, const Tape& tape, Cotangents& d) const;
+  /// @param d_shape added to. @param d_change overwritten.
+  void shape_pullback(const Block& block, const Cotangents& d, float* d_shape, float* d_change) const;
+
+  // The parts of weight_gradient().
+  void decoder_gradient(const Block& block, const Tape& tape, const float* d_mean, const Cotangents& d,
+                        float* gradient) const;
+  void module_gradient(const Block& block, const Tape& tape, const Cotangents& d, float* gradient) const;
+  void encoder_gradient(const Block& block, const Tape& tape, const Cotangents& d, float* gradient) const;
+  /// The gradient of a matrix, A^T D. @param a [m, rows of the weight]. @param d [m, its columns, or those decoded].
+  /// @param adds to what is there already.
+  void put_product(int weight, Index m, const float* a, const float* d, float* gradient, bool adds = false) const;
+  /// The gradient of a vector, the sum of D's rows.
+  void put_rows(int weight, Index m, const float* d, float* gradient, bool adds = false) const;
+  bool is_decoded(int weight) const;  ///< whether its columns are coordinates of the decoder's
 
   /// A matrix B, packed for the products A B and A B^T.
   struct Packed {
+    /// Vectors of them begin where a cache line does.
+    struct alignas(64) Line {
+      float values[16];
+    };
     Index k = 0, n = 0;
-    std::vector<float> forward, backward;
+    std::vector<Line> forward, backward;
   };
-  Packed pack(const float* data, Index k, Index n) const;
-  Packed pack(int weight) const;
-  const float* bias(int weight) const { return weights_.data() + layout_.weights[weight].offset; }
+  /// @param data [k, n]. @param products whether A B alone is wanted.
+  Packed pack(const float* data, Index k, Index n, bool products) const;
+  /// Packs all weights. @param weights [Layout::size].
+  void pack_all(const float* weights, bool for_training, Host* host);
+  const float* bias(int weight) const { return biases_[weight].data(); }
   /// C [m, n] (+)= A [m, k] B.
   void times(const Packed& b, Index m, const float* a, Index lda, float* c, Index ldc, const float* start,
              bool accumulate) const;
@@ -101,14 +146,16 @@ class Network {
   Architecture arch_;
   Dimensions dim_;
   Layout layout_;
-  std::vector<float> weights_;
+  std::vector<std::vector<float>> biases_;  // by weight; empty for matrices
+  std::vector<std::int64_t> columns_;       // of the decoder; empty: all
   Index z_ = 0;
   bool norm_all_ = false, norm_ = false;
   float floor_ = 0.0f;
   Packed encoder_shape_, encoder_velocity_, encoder_out_, out_h_, out_u_, decoder_in_, mean_, sigma_;
   std::vector<Packed> layer_h_, layer_u_;
-  Packed project_;  // [coordinates, latent]: basis / scale
-  Packed expand_;   // [latent, coordinates]: (basis scale)^T
+  std::vector<float> expansion_;  // [latent, coordinates]: (basis scale)^T
+  Packed project_;                // [coordinates, latent]: basis / scale
+  Packed expand_;                 // [latent, decoded()]: expansion_
 };
 
 }  // namespace weft::emd

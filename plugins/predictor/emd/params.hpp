@@ -149,9 +149,10 @@ struct Params {
     v("other_fabric", other_fabric, choice({"refuse", "warn"}),
       "What to do when the task's material space is not the one of the training data.");
     v("untrained", untrained, "Without a model file, use random weights: for timing and tests, not for planning.");
-    v("kernels", kernels, choice({"auto", "v2", "v3", "v4"}),
-      "Instruction set of the inner loops, and of libtorch in training: x86-64-v2, -v3 or -v4; their last digits differ. "
-      "auto: the processor's best, and the one that a used folder was begun with.",
+    v("kernels", kernels, choice({"auto", "v2", "v3", "v4", "amx"}),
+      "Instruction set of the inner loops, and of libtorch in training: x86-64-v2, -v3 or -v4, or amx, products of split "
+      "bfloat16 numbers on AMX tiles; their last digits differ. auto: the processor's best, and the one that a used folder "
+      "was begun with.",
       NumericVariant{kernels_here()});
     v.group("architecture", architecture, "The network, for training; a model file brings its own.");
     v.group("training", training, "How the network is fitted.");

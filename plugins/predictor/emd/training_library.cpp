@@ -13,7 +13,7 @@ namespace {
 
 /// Makes libtorch and OpenBLAS use the code for an instruction set. They read this when they are loaded.
 void choose_instruction_set(const std::string& variant) {
-  const bool v4 = variant == "v4", v3 = variant == "v3";
+  const bool v4 = variant == "v4" || variant == "amx", v3 = variant == "v3";
   ::setenv("ATEN_CPU_CAPABILITY", v4 ? "avx512" : v3 ? "avx2" : "default", 1);
   ::setenv("OPENBLAS_CORETYPE", v4 ? "SkylakeX" : v3 ? "Haswell" : "Nehalem", 1);
 }

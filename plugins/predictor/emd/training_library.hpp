@@ -14,8 +14,9 @@ struct FitJob {
   const FitOptions& options;
   const FitObserver& observer;
   Host& host;
-  Model model;       ///< out: the best model
-  FitReport report;  ///< out
+  const std::string& kernels;  ///< numeric variant of the gradients
+  Model model;                 ///< out: the best model
+  FitReport report;            ///< out
 };
 /// Exported as "weft_emd_fit". @throws what TrainablePredictor::fit throws.
 using FitFunction = void (*)(FitJob& job);
@@ -41,6 +42,7 @@ struct AutogradJob {
   const float* d_sigma;
   std::vector<float> mean, sigma;                  ///< out
   std::vector<float> d_inputs, d_shape, d_change;  ///< out: gradients of <d_mean, mean> + <d_sigma, sigma>
+  std::vector<float> d_weights;                    ///< out, [Layout::size]
 };
 /// Exported as "weft_emd_autograd".
 using AutogradFunction = void (*)(AutogradJob& job);

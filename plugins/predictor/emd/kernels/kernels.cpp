@@ -1,6 +1,11 @@
 #include "kernels.hpp"
 
-#include <algorithm>
+#if defined(__x86_64__)
+#include <cpuid.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+#endif
+
 #include <cstring>
 
 #include "weft/error.hpp"
@@ -17,18 +22,26 @@ extern const Kernels table;
 namespace v4 {
 extern const Kernels table;
 }
+namespace amx {
+extern const Kernels table;
+}
 #endif
 
-void Kernels::pack(std::size_t k, std::size_t n, const float* b, std::size_t row_stride, std::size_t column_stride,
-                   float* packed) const {
-  for (std::size_t column = 0; column < n; column += panel) {
-    const std::size_t columns = std::min(panel, n - column);
-    for (std::size_t i = 0; i < k; ++i, packed += panel) {
-      const float* from = b + i * row_stride + column * column_stride;
-      for (std::size_t j = 0; j < panel; ++j) packed[j] = j < columns ? from[j * column_stride] : 0.0f;
-    }
-  }
+#if defined(__x86_64__)
+namespace {
+
+/// Whether the processor has AMX tiles of bfloat16, and the kernel lets this process use them.
+bool has_amx() {
+  constexpr unsigned kTiles = 1u << 24, kTileProducts = 1u << 22, kConversions = 1u << 5;
+  unsigned a = 0, b = 0, c = 0, d = 0;
+  if (__get_cpuid_count(7, 0, &a, &b, &c, &d) == 0 || (d & kTiles) == 0 || (d & kTileProducts) == 0) return false;
+  if (__get_cpuid_count(7, 1, &a, &b, &c, &d) == 0 || (a & kConversions) == 0) return false;
+  constexpr long kRequestPermission = 0x1023, kTileData = 18;  // Linux: Documentation/arch/x86/xstate.rst
+  return ::syscall(SYS_arch_prctl, kRequestPermission, kTileData) == 0;
 }
+
+}  // namespace
+#endif
 
 const Kernels* find_kernels(const char* name) {
   if (std::strcmp(name, "v2") == 0) return &v2::table;
@@ -36,9 +49,13 @@ const Kernels* find_kernels(const char* name) {
   __builtin_cpu_init();
   if (std::strcmp(name, "v3") == 0 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"))
     return &v3::table;
-  if (std::strcmp(name, "v4") == 0 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-      __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl")) {
-    return &v4::table;
+  const bool is_v4 = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+                     __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
+                     __builtin_cpu_supports("avx512vl");
+  if (std::strcmp(name, "v4") == 0 && is_v4) return &v4::table;
+  if (std::strcmp(name, "amx") == 0 && is_v4) {
+    static const bool has_tiles = has_amx();
+    return has_tiles ? &amx::table : nullptr;
   }
 #endif
   return nullptr;
@@ -46,7 +63,7 @@ const Kernels* find_kernels(const char* name) {
 
 std::vector<std::string> kernels_here() {
   std::vector<std::string> names;
-  for (const char* name : {"v2", "v3", "v4"})
+  for (const char* name : {"v2", "v3", "v4", "amx"})
     if (find_kernels(name) != nullptr) names.emplace_back(name);
   return names;
 }

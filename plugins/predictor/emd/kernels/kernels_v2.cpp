@@ -4,4 +4,5 @@
 #define WEFT_ISA v2
 #define WEFT_WIDTH 4
 #define WEFT_ROWS 4
+#define WEFT_PRODUCTS "products_fma.inc"
 #include "kernels.inc"

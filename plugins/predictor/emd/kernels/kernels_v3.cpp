@@ -4,4 +4,5 @@
 #define WEFT_ISA v3
 #define WEFT_WIDTH 8
 #define WEFT_ROWS 6
+#define WEFT_PRODUCTS "products_fma.inc"
 #include "kernels.inc"

@@ -4,4 +4,5 @@
 #define WEFT_ISA v4
 #define WEFT_WIDTH 16
 #define WEFT_ROWS 12
+#define WEFT_PRODUCTS "products_fma.inc"
 #include "kernels.inc"

@@ -8,20 +8,21 @@
 
 namespace weft::emd {
 
-/// Loss and gradient of a batch, in parts that are differentiated in parallel. The parts do not depend on the number of
+/// Loss and gradient of a batch by Network, in parts that are differentiated in parallel. The parts do not depend on the number of
 /// threads or ranks; each rank has as many of them.
 class BatchGradient {
  public:
-  /// Keeps references to passes, training and weights. @param weights [Layout::size], which stay where they are.
-  /// @param parts of the whole batch.
-  BatchGradient(Passes& passes, const Training& training, const std::vector<float>& weights, const Ranks& ranks,
+  /// Keeps references to passes, training and host. @param parts of the whole batch.
+  BatchGradient(Passes& passes, const Training& training, const Kernels& kernels, Host& host, const Ranks& ranks,
                 std::size_t parts);
   BatchGradient(const BatchGradient&) = delete;
   BatchGradient& operator=(const BatchGradient&) = delete;
 
-  /// @param sequences of the whole batch. @param columns coordinates that enter the loss; empty: all.
+  /// @param weights [Layout::size]. @param sequences of the whole batch. @param columns coordinates that enter the loss;
+  /// empty: all.
   /// @return [parts of this rank]: the loss, summed over their decoded shapes.
-  std::vector<double> compute(const std::vector<Sequence>& sequences, const std::vector<std::int64_t>& columns);
+  std::vector<double> compute(const std::vector<float>& weights, const std::vector<Sequence>& sequences,
+                              const std::vector<std::int64_t>& columns);
   /// The gradient of the mean loss of the whole batch is the sum of all ranks' parts. [parts of this rank][Layout::size]
   const std::vector<std::vector<float>>& parts() const { return gradients_; }
   /// The examples of this rank's parts.
@@ -30,9 +31,10 @@ class BatchGradient {
  private:
   Passes& passes_;
   const Training& t_;
+  Host& host_;
+  Network network_;
   std::size_t all_parts_, first_part_;
   std::vector<std::vector<float>> gradients_;
-  std::vector<Graph> graphs_;  ///< one for each part: each has leaves of its own over the same weights
 };
 
 }  // namespace weft::emd

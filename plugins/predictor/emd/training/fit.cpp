@@ -93,9 +93,9 @@ class Fit {
         ranks_(ranks),
         state_(std::move(state)),
         sampler_(passes, examples.train, t_, job.options.seed),
-        gradient_(passes, t_, state_.weights, ranks, parts_of_batch(t_, ranks.size())),
+        gradient_(passes, t_, kernels(job.kernels), job.host, ranks, parts_of_batch(t_, ranks.size())),
         sum_(t_, job.host, ranks, state_.weights.size(), parts_of_batch(t_, ranks.size())),
-        optimiser_(t_, job.host, state_.weights.size()),
+        optimiser_(t_, kernels(job.kernels), job.host, state_.weights.size()),
         first_iteration_(state_.iteration),
         earlier_seconds_(state_.seconds),
         started_(started) {
@@ -166,12 +166,13 @@ class Fit {
       if (state_.iteration == first_iteration_) passes_.read_ahead(gradient_.examples(sequences));
       passes_.read_ahead(gradient_.examples(sampler_.sequences(state_.iteration + 1)));
     }
-    const double loss = mean_loss(sequences, gradient_.compute(sequences, sampler_.columns(state_.iteration)));
+    const double loss =
+        mean_loss(sequences, gradient_.compute(state_.weights, sequences, sampler_.columns(state_.iteration)));
     if (!std::isfinite(loss)) {
       throw Error("emd: the training loss is not finite after " + std::to_string(state_.iteration) +
                   " iterations; lower training.rate");
     }
-    const auto& direction = sum_.join(gradient_.parts());
+    const auto direction = sum_.join(gradient_.parts());
     state_.loss_sum += loss;
     ++state_.loss_count;
     optimiser_.step(direction, state_);

@@ -1,7 +1,10 @@
 #include "gradient_sum.hpp"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <cstring>
+#include <numeric>
 
 #include "chunks.hpp"
 
@@ -24,6 +27,14 @@ struct SumWire {
   }
   static void get(const std::byte* from, std::size_t count, float* to) { std::memcpy(to, from, count * sizeof(float)); }
 };
+
+/// Eight sums side by side, so that none waits for the one before.
+double sum_of_squares(const std::vector<float>& values, std::size_t from, std::size_t to) {
+  std::array<double, 8> sums{};
+  for (std::size_t i = from; i < to; ++i)
+    sums[(i - from) % sums.size()] += static_cast<double>(values[i]) * static_cast<double>(values[i]);
+  return std::accumulate(sums.begin(), sums.end(), 0.0);
+}
 
 int sign_of(float value) { return (value > 0) - (value < 0); }
 int sign_of(int value) { return (value > 0) - (value < 0); }
@@ -92,32 +103,39 @@ GradientSum::GradientSum(const Training& training, Host& host, Ranks& ranks, std
       slice_(8 * ((weights + 8 * ranks.size() - 1) / (8 * ranks.size()))),
       joined_(weights) {}
 
-const std::vector<float>& GradientSum::join(const std::vector<std::vector<float>>& mine) {
+GradientSum::Direction GradientSum::join(const std::vector<std::vector<float>>& mine) {
+  std::vector<double> squares(kChunks, 0.0);
   if (ranks_.size() == 1) {
-    join_here(mine);
-  } else if (kind_ == Kind::sum) {
-    join_over_ranks<SumWire>(mine);
-  } else if (kind_ == Kind::sign) {
-    join_over_ranks<SignWire>(mine);
+    join_here(mine, squares);
   } else {
-    join_over_ranks<BitWire>(mine);
+    if (kind_ == Kind::sum) {
+      join_over_ranks<SumWire>(mine);
+    } else if (kind_ == Kind::sign) {
+      join_over_ranks<SignWire>(mine);
+    } else {
+      join_over_ranks<BitWire>(mine);
+    }
+    in_chunks(host_, joined_.size(), [&](std::size_t chunk, std::size_t from, std::size_t to) {
+      squares[chunk] = sum_of_squares(joined_, from, to);
+    });
   }
-  return joined_;
+  return {joined_, std::sqrt(std::accumulate(squares.begin(), squares.end(), 0.0))};
 }
 
-void GradientSum::join_here(const std::vector<std::vector<float>>& mine) {
-  in_chunks(host_, joined_.size(), [&](std::size_t, std::size_t from, std::size_t to) {
-    for (std::size_t i = from; i < to; ++i) {
-      float sum = 0.0f;
-      int votes = 0;
-      for (const auto& part : mine) {
-        if (kind_ == Kind::sum)
-          sum += part[i];
-        else
-          votes += kind_ == Kind::sign ? sign_of(part[i]) : (part[i] < 0 ? -1 : 1);
+void GradientSum::join_here(const std::vector<std::vector<float>>& mine, std::vector<double>& squares) {
+  in_chunks(host_, joined_.size(), [&](std::size_t chunk, std::size_t from, std::size_t to) {
+    if (kind_ == Kind::sum) {
+      std::copy(mine.front().begin() + from, mine.front().begin() + to, joined_.begin() + from);
+      for (std::size_t p = 1; p < mine.size(); ++p)
+        for (std::size_t i = from; i < to; ++i) joined_[i] += mine[p][i];
+    } else {
+      for (std::size_t i = from; i < to; ++i) {
+        int votes = 0;
+        for (const auto& part : mine) votes += kind_ == Kind::sign ? sign_of(part[i]) : (part[i] < 0 ? -1 : 1);
+        joined_[i] = static_cast<float>(sign_of(votes));
       }
-      joined_[i] = kind_ == Kind::sum ? sum : static_cast<float>(sign_of(votes));
     }
+    squares[chunk] = sum_of_squares(joined_, from, to);
   });
 }
 

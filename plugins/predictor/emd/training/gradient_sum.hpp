@@ -20,13 +20,18 @@ class GradientSum {
  public:
   /// Keeps references to all. @param weights Layout::size. @param parts of the whole batch.
   GradientSum(const Training& training, Host& host, Ranks& ranks, std::size_t weights, std::size_t parts);
+  /// The direction of a step.
+  struct Direction {
+    const std::vector<float>& values;  ///< [weights]: Adam: the sum. SignSGD: the vote, 1, -1 or 0
+    double norm;
+  };
   /// @param mine [parts / ranks][weights]: those of this rank; rank r has the r-th of `ranks` groups of parts.
-  /// @return [weights]: Adam: the sum. SignSGD: the vote, 1, -1 or 0. It stays valid until the next call.
-  const std::vector<float>& join(const std::vector<std::vector<float>>& mine);
+  /// @return it stays valid until the next call.
+  Direction join(const std::vector<std::vector<float>>& mine);
 
  private:
   enum class Kind { sum, sign, one_bit };
-  void join_here(const std::vector<std::vector<float>>& mine);
+  void join_here(const std::vector<std::vector<float>>& mine, std::vector<double>& squares);
   /// @tparam Wire has the functions bytes(), put(), join() and get(), see gradient_sum.cpp.
   template <class Wire>
   void join_over_ranks(const std::vector<std::vector<float>>& mine);

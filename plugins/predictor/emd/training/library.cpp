@@ -22,14 +22,13 @@ void translated(const Body& body) {
 void differentiate(AutogradJob& job) {
   const auto& block = job.block;
   const auto n = job.model.dimensions.coordinates();
-  const Graph graph(job.model, job.model.weights.data(), nullptr);
+  job.d_weights.assign(job.model.weights.size(), 0.0f);
+  const Graph graph(job.model, job.model.weights.data(), job.d_weights.data());
   Tensor shape = view(block.shape.data(), block.rows, n).clone().set_requires_grad(true);
   Tensor change = view(block.change.data(), block.rows, n).clone().set_requires_grad(true);
   Tensor inputs =
       view(block.inputs.data(), block.total(), job.model.dimensions.inputs()).clone().set_requires_grad(true);
-  std::vector<Index> running;
-  for (Index j = 0; j < block.steps.front(); ++j) running.push_back(block.running(j));
-  const auto out = graph.forward(shape, change, inputs, running, block.wanted);
+  const auto out = graph.forward(shape, change, inputs, block);
   const Tensor sigma = sigma_of(job.model, out.log_sigma).value;
   const Index wanted = block.wanted.size();
   torch::autograd::backward({out.mean, sigma}, {view(job.d_mean, wanted, n), view(job.d_sigma, wanted, n)});

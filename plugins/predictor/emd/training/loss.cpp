@@ -27,23 +27,26 @@ struct Residuals {
 
 }  // namespace
 
-LossGradient loss_gradient(const Passes& passes, const Graph::Output& out, const Batch& batch, double total,
-                           double beta) {
-  const at::NoGradGuard guard;
-  const Residuals residuals(passes, out, batch);
-  const auto& [e, sigma] = residuals.sigma;
+LossGradient loss_gradient(const std::vector<float>& mean, const std::vector<float>& sigma, const Batch& batch,
+                           Index coordinates, double total, double beta) {
+  const std::size_t shapes = batch.wanted.size(), n = mean.size() / shapes;
+  const auto scale = static_cast<float>(1.0 / (total * static_cast<double>(n)));
   LossGradient gradient;
-  gradient.sum = residuals.loss_sum();
-  gradient.d_mean = residuals.r / sigma;
-  gradient.d_log_sigma = (1.0 - residuals.square) / sigma * e * (out.log_sigma.detach() < kLargestLogSigma);
-  const auto scale = static_cast<float>(1.0 / (total * out.mean.size(1)));
-  if (beta > 0) {
-    const Tensor weight = at::pow(sigma, 2.0 * beta) * scale;
-    gradient.d_mean *= weight;
-    gradient.d_log_sigma *= weight;
-  } else {
-    gradient.d_mean *= scale;
-    gradient.d_log_sigma *= scale;
+  gradient.d_mean.resize(mean.size());
+  gradient.d_sigma.resize(mean.size());
+  for (std::size_t w = 0; w < shapes; ++w) {
+    const float* target = batch.target.data() + w * static_cast<std::size_t>(coordinates);
+    double sum = 0.0;
+    for (std::size_t c = 0; c < n; ++c) {
+      const std::size_t i = w * n + c;
+      const float x = target[batch.columns.empty() ? c : static_cast<std::size_t>(batch.columns[c])];
+      const float s = sigma[i], r = (mean[i] - x) / s;
+      sum += static_cast<double>(0.5f * r * r + std::log(s));
+      const float weight = (beta > 0 ? scale * std::pow(s, 2.0f * static_cast<float>(beta)) : scale) / s;
+      gradient.d_mean[i] = r * weight;
+      gradient.d_sigma[i] = (1.0f - r * r) * weight;
+    }
+    gradient.sum += sum / static_cast<double>(n);
   }
   return gradient;
 }

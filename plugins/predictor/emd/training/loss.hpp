@@ -9,13 +9,14 @@
 namespace weft::emd {
 
 struct LossGradient {
-  double sum = 0.0;            ///< loss, summed over the shapes
-  Tensor d_mean, d_log_sigma;  ///< [wanted, coordinates]: gradients of the mean over `total` shapes
+  double sum = 0.0;                    ///< loss, summed over the shapes
+  std::vector<float> d_mean, d_sigma;  ///< [wanted, columns]: gradients of the mean over `total` shapes
 };
+/// @param mean, sigma [wanted, columns]: as Network gives them for the batch's columns.
 /// @param total shapes that the gradient is the mean over: those of all parts of a batch.
 /// @param beta beta-NLL (Seitzer et al. 2022): each term's gradient is weighted by sigma^(2 beta); 0: the likelihood.
-LossGradient loss_gradient(const Passes& passes, const Graph::Output& out, const Batch& batch, double total,
-                           double beta);
+LossGradient loss_gradient(const std::vector<float>& mean, const std::vector<float>& sigma, const Batch& batch,
+                           Index coordinates, double total, double beta);
 
 struct ShapeErrors {
   double loss_sum = 0.0;            ///< loss, summed over the shapes

@@ -1,67 +1,57 @@
 #include "optimiser.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <numeric>
 
 #include "chunks.hpp"
 #include "learning_rate.hpp"
 
 namespace weft::emd {
 
-void Optimiser::step(const std::vector<float>& direction, FitState& state) {
+void Optimiser::step(const GradientSum::Direction& direction, FitState& state) {
   if (t_.optimiser == "signsgd") {
-    signsgd(direction, state);
+    signsgd(direction.values, state);
   } else {
     adam(direction, state);
   }
-  if (t_.average > 0) average(state);
 }
 
-/// Kingma & Ba 2015, with the decoupled weight decay of Loshchilov & Hutter 2019.
-void Optimiser::adam(const std::vector<float>& gradient, FitState& state) {
-  std::array<double, kChunks> squares{};
-  in_chunks(host_, size_, [&](std::size_t chunk, std::size_t from, std::size_t to) {
-    for (std::size_t i = from; i < to; ++i)
-      squares[chunk] += static_cast<double>(gradient[i]) * static_cast<double>(gradient[i]);
-  });
-  const double norm = std::sqrt(std::accumulate(squares.begin(), squares.end(), 0.0));
-  const auto clip = static_cast<float>(t_.clip > 0 && norm > t_.clip ? t_.clip / norm : 1.0);
+void Optimiser::adam(const GradientSum::Direction& gradient, FitState& state) {
   state.rate = cosine_rate(t_, state.iteration, state.time_used);
   constexpr double kBeta1 = 0.9, kBeta2 = 0.99;
   const double n = static_cast<double>(state.iteration) + 1.0;
-  const auto correct1 = static_cast<float>(1.0 / (1.0 - std::pow(kBeta1, n)));
-  const auto correct2 = static_cast<float>(1.0 / (1.0 - std::pow(kBeta2, n)));
-  const auto rate = static_cast<float>(state.rate);
-  const auto decay = static_cast<float>(state.rate * t_.weight_decay);
+  const AdamStep step{
+      .clip = static_cast<float>(t_.clip > 0 && gradient.norm > t_.clip ? t_.clip / gradient.norm : 1.0),
+      .b1 = static_cast<float>(kBeta1),
+      .b2 = static_cast<float>(kBeta2),
+      .c1 = static_cast<float>(1.0 / (1.0 - std::pow(kBeta1, n))),
+      .c2 = static_cast<float>(1.0 / (1.0 - std::pow(kBeta2, n))),
+      .rate = static_cast<float>(state.rate),
+      .decay = static_cast<float>(state.rate * t_.weight_decay),
+      .keep = keep_average(state),
+  };
   in_chunks(host_, size_, [&](std::size_t, std::size_t from, std::size_t to) {
-    constexpr float b1 = kBeta1, b2 = kBeta2;
-    auto &first = state.first_moment, &second = state.second_moment, &weights = state.weights;
-    for (std::size_t i = from; i < to; ++i) {
-      const float g = gradient[i] * clip;
-      first[i] = b1 * first[i] + (1.0f - b1) * g;
-      second[i] = b2 * second[i] + (1.0f - b2) * g * g;
-      weights[i] -= rate * first[i] * correct1 / (std::sqrt(second[i] * correct2) + 1e-8f) + decay * weights[i];
-    }
+    kernels_.adam(to - from, step, gradient.values.data() + from, state.first_moment.data() + from,
+                  state.second_moment.data() + from, state.weights.data() + from,
+                  t_.average > 0 ? state.average.data() + from : nullptr);
   });
+}
+
+/// Of the exponential moving average of the weights, which forgets faster at first.
+float Optimiser::keep_average(const FitState& state) const {
+  const auto n = static_cast<double>(state.iteration);
+  return static_cast<float>(std::min(t_.average, (1.0 + n) / (10.0 + n)));
 }
 
 /// Majority vote (Bernstein et al. 2018): the sign of each part's gradient, summed, and the sign of that.
 void Optimiser::signsgd(const std::vector<float>& vote, FitState& state) {
   const auto rate = static_cast<float>(state.rate);
+  const float keep = keep_average(state);
   in_chunks(host_, size_, [&](std::size_t, std::size_t from, std::size_t to) {
-    for (std::size_t i = from; i < to; ++i) state.weights[i] -= rate * vote[i];
-  });
-}
-
-/// Exponential moving average, which forgets faster at first.
-void Optimiser::average(FitState& state) {
-  const auto n = static_cast<double>(state.iteration);
-  const auto keep = static_cast<float>(std::min(t_.average, (1.0 + n) / (10.0 + n)));
-  in_chunks(host_, size_, [&](std::size_t, std::size_t from, std::size_t to) {
-    for (std::size_t i = from; i < to; ++i)
-      state.average[i] = keep * state.average[i] + (1.0f - keep) * state.weights[i];
+    for (std::size_t i = from; i < to; ++i) {
+      state.weights[i] -= rate * vote[i];
+      if (t_.average > 0) state.average[i] = keep * state.average[i] + (1.0f - keep) * state.weights[i];
+    }
   });
 }
 

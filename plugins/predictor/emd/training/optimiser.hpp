@@ -4,6 +4,7 @@
 
 #include "../params.hpp"
 #include "checkpoint.hpp"
+#include "gradient_sum.hpp"
 #include "weft/host.hpp"
 
 namespace weft::emd {
@@ -12,18 +13,20 @@ namespace weft::emd {
 /// number of threads.
 class Optimiser {
  public:
-  /// Keeps references to both. @param weights Layout::size.
-  Optimiser(const Training& training, Host& host, std::size_t weights) : t_(training), host_(host), size_(weights) {}
+  /// Keeps references to all. @param weights Layout::size.
+  Optimiser(const Training& training, const Kernels& kernels, Host& host, std::size_t weights)
+      : t_(training), kernels_(kernels), host_(host), size_(weights) {}
   /// One step, and the moving average of the weights with it.
-  /// @param direction [weights], as GradientSum gives it.
-  void step(const std::vector<float>& direction, FitState& state);
+  void step(const GradientSum::Direction& direction, FitState& state);
 
  private:
-  void adam(const std::vector<float>& gradient, FitState& state);
+  void adam(const GradientSum::Direction& gradient, FitState& state);
   void signsgd(const std::vector<float>& vote, FitState& state);
-  void average(FitState& state);
+
+  float keep_average(const FitState& state) const;
 
   const Training& t_;
+  const Kernels& kernels_;
   Host& host_;
   std::size_t size_;  ///< weights
 };

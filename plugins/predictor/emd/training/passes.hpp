@@ -24,7 +24,8 @@ inline Tensor view(const float* data, Index rows, Index columns) {
   return at::from_blob(const_cast<float*>(data), {rows, columns}, at::TensorOptions().dtype(at::kFloat));
 }
 
-/// The network as tensors: the same formulas as Network (network.cpp), left to autograd.
+/// The network as tensors: the same formulas as Network (network.cpp), left to autograd. It evaluates and calibrates, and
+/// tests compare Network's derivatives with its own.
 class Graph {
  public:
   Graph(const Model& model, const float* weights, float* gradients)
@@ -50,11 +51,8 @@ class Graph {
     Tensor log_sigma;  ///< raw: before the upper limit and the floor
     Tensor hidden;     ///< [wanted, decoder_hidden]: g, what both layers see
   };
-  /// @param running rows of each segment.
-  /// @param columns coordinates to decode; undefined: all.
-  Output forward(const Tensor& shape, const Tensor& change, const Tensor& inputs, const std::vector<Index>& running,
-                 const std::vector<Block::Wanted>& wanted, const Tensor& columns = {}) const {
-    const auto some = [&](const Tensor& all) { return columns.defined() ? at::index_select(all, 1, columns) : all; };
+  /// @param shape, change, inputs as in Block, of which only the steps and the wanted shapes are used.
+  Output forward(const Tensor& shape, const Tensor& change, const Tensor& inputs, const Block& block) const {
     Tensor e = at::addmm(w(layout_.encoder_bias), shape, w(layout_.encoder_shape));
     if (arch_.previous_shape) {
       e = e + at::mm(at::mm(change, project_) * kVelocityGain, w(layout_.encoder_velocity));
@@ -71,7 +69,8 @@ class Graph {
         layout_.out.u < 0 ? Tensor() : at::addmm(w(layout_.out.b), inputs, w(layout_.out.u));
     std::vector<Tensor> boundaries{z};
     Index offset = 0;
-    for (const Index m : running) {
+    for (Index j = 0; j < block.steps.front(); ++j) {
+      const Index m = block.running(j);
       const Tensor before = z.size(0) == m ? z : z.narrow(0, 0, m);
       Tensor h = before;
       std::vector<Tensor> outputs;
@@ -96,7 +95,7 @@ class Graph {
     std::vector<std::int64_t> first(boundaries.size(), 0);
     for (std::size_t j = 1; j < boundaries.size(); ++j) first[j] = first[j - 1] + boundaries[j - 1].size(0);
     std::vector<std::int64_t> places;
-    for (const auto& one : wanted) {
+    for (const auto& one : block.wanted) {
       places.push_back(first[one.step] + one.row);
       of_row.push_back(one.row);
     }
@@ -104,18 +103,17 @@ class Graph {
     const Tensor g = f(at::addmm(w(layout_.decoder_bias), code, w(layout_.decoder_in)));
     Output out;
     out.hidden = g;
-    out.log_sigma = at::addmm(some(w(layout_.sigma_bias)), g, some(w(layout_.sigma)));
+    out.log_sigma = at::addmm(w(layout_.sigma_bias), g, w(layout_.sigma));
     Tensor latent = code.narrow(1, 0, arch_.latent);
     if (arch_.differential_decoding) {
       const Tensor rows = at::tensor(of_row);
       const Tensor g0 = f(at::addmm(w(layout_.decoder_bias), start, w(layout_.decoder_in)));
-      out.mean =
-          at::addmm(at::index_select(some(shape), 0, rows), g - at::index_select(g0, 0, rows), some(w(layout_.mean)));
+      out.mean = at::addmm(at::index_select(shape, 0, rows), g - at::index_select(g0, 0, rows), w(layout_.mean));
       latent = latent - at::index_select(start, 0, rows).narrow(1, 0, arch_.latent);
     } else {
-      out.mean = at::addmm(some(w(layout_.mean_bias)), g, some(w(layout_.mean)));
+      out.mean = at::addmm(w(layout_.mean_bias), g, w(layout_.mean));
     }
-    if (arch_.pca_skip) out.mean = at::addmm(out.mean, latent, some(expand_));
+    if (arch_.pca_skip) out.mean = at::addmm(out.mean, latent, expand_);
     return out;
   }
 
@@ -146,13 +144,10 @@ inline Sigma sigma_of(const Model& model, const Tensor& log_sigma) {
   return {exp, exp + floor};
 }
 
-/// Sub-sequences for one pass, rows by descending length.
-struct Batch {
-  std::vector<float> shape, change, inputs, target;
-  std::vector<Index> running;
-  std::vector<Block::Wanted> wanted;
+/// Sub-sequences for one pass.
+struct Batch : Block {
+  std::vector<float> target;          ///< [wanted, coordinates]: the shapes that predictions are compared with
   std::vector<std::int64_t> columns;  ///< coordinates that enter the loss, ascending; empty: all
-  Index rows = 0;
 };
 
 /// Sub-sequences of a dataset's examples on their way through a model's network.
@@ -204,7 +199,8 @@ class Passes {
                      [](const Sequence& a, const Sequence& b) { return a.steps > b.steps; });
     Batch batch;
     const std::size_t n = model_.dimensions.coordinates(), u = model_.dimensions.inputs();
-    batch.rows = sequences.size();
+    batch.rows = std::ssize(sequences);
+    for (const auto& s : sequences) batch.steps.push_back(s.steps);
     const auto normalised = [&](const float* from, std::vector<float>& to) {
       const std::size_t at = to.size();
       to.resize(at + n);
@@ -224,14 +220,12 @@ class Passes {
     }
     std::vector<double> raw(u);
     for (Index j = 0; j < sequences.front().steps; ++j) {
-      Index m = 0;
-      for (; m < batch.rows && sequences[m].steps > j; ++m) {
+      for (Index m = 0; m < batch.running(j); ++m) {
         const auto& s = sequences[m];
         raw_inputs(example(s.example), s.start + j, s.knowledge, raw.data());
         for (std::size_t k = 0; k < u; ++k)
           batch.inputs.push_back(static_cast<float>((raw[k] - model_.input_mean[k]) / model_.input_sd[k]));
       }
-      batch.running.push_back(m);
     }
     return batch;
   }
@@ -243,18 +237,16 @@ class Passes {
     return make_batch({begin, begin + std::min<std::ptrdiff_t>(kBatch, all.end() - begin)});
   }
 
+  /// Of all coordinates.
   Graph::Output forward(const Graph& graph, const Batch& batch) const {
     const auto& d = model_.dimensions;
-    const Index total = batch.inputs.size() / d.inputs();
     return graph.forward(view(batch.shape.data(), batch.rows, d.coordinates()),
                          view(batch.change.data(), batch.rows, d.coordinates()),
-                         view(batch.inputs.data(), total, d.inputs()), batch.running, batch.wanted,
-                         batch.columns.empty() ? Tensor() : at::tensor(batch.columns));
+                         view(batch.inputs.data(), batch.total(), d.inputs()), batch);
   }
-  /// The shapes that a batch's predictions are compared with, [wanted, columns].
+  /// Batch::target.
   Tensor target(const Batch& batch) const {
-    const Tensor all = view(batch.target.data(), batch.wanted.size(), model_.dimensions.coordinates());
-    return batch.columns.empty() ? all : at::index_select(all, 1, at::tensor(batch.columns));
+    return view(batch.target.data(), std::ssize(batch.wanted), model_.dimensions.coordinates());
   }
 
   /// body(p) for every part, on the host's threads. Each part's products use one thread.
