@@ -7,6 +7,7 @@
 #include <cmath>
 #include <csignal>
 #include <cstdlib>
+#include <limits>
 
 #include "sdk/machine_failure.hpp"
 #include "unit/test_support.hpp"
@@ -35,6 +36,33 @@ std::string refusal(const fs::path& file) {
 }
 std::size_t entries(const Folder& folder) {
   return std::distance(fs::directory_iterator(folder.path()), fs::directory_iterator());
+}
+
+TEST(Hdf5File, EveryHalfIsReadAsLibhdf5ReadsIt) {
+  // read() leaves it to libhdf5.
+  std::vector<float> values;
+  for (int exponent = -24; exponent <= 15; ++exponent)
+    for (int mantissa = 0; mantissa < 1024; ++mantissa)
+      for (const float sign : {1.0f, -1.0f}) {
+        const float step = std::ldexp(1.0f, std::max(exponent - 10, -24));
+        values.push_back(sign * std::round(std::ldexp(1.0f + static_cast<float>(mantissa) / 1024.0f, exponent) / step) *
+                         step);
+      }
+  for (const float special :
+       {0.0f, -0.0f, std::numeric_limits<float>::infinity(), -std::numeric_limits<float>::infinity()})
+    values.push_back(special);
+  const Folder folder;
+  Hdf5File out = Hdf5File::create(folder / "half.h5");
+  out.write_half("/half", {std::ssize(values)}, values.data());
+  out.commit();
+  const auto in = Hdf5File::open(folder / "half.h5");
+  const auto fast = in.read_float("/half");
+  const auto slow = in.read("/half");
+  ASSERT_EQ(fast.size(), values.size());
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    EXPECT_EQ(static_cast<double>(fast[i]), slow[i]) << values[i];
+    EXPECT_EQ(std::signbit(fast[i]), std::signbit(values[i]));
+  }
 }
 
 TEST(Hdf5File, SaysWhyAFileCannotBeOpened) {
