@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs every fuzz target, or those that are named, and ends at the first finding.
+# Runs every fuzz target, or those that are named, and ends at the first finding. WEFT_FUZZ_JOBS=N: N of them side by side.
 #   tests/fuzz/run.sh BUILD LIBFUZZER_OPTIONS [TARGET...]
 # BUILD is that of the preset fuzz. Each target starts from its inputs; new ones are kept in BUILD/corpus. The number of runs counts from there.
 set -euo pipefail
@@ -8,6 +8,10 @@ shift 2
 root=$(cd "$(dirname -- "${BASH_SOURCE[0]}")/../.." && pwd)
 targets=("$@")
 if ((${#targets[@]} == 0)); then targets=(task experiment scene obj fabric torchscript plugin_info session dataset model damaged); fi
+if ((${#targets[@]} > 1 && ${WEFT_FUZZ_JOBS:-1} > 1)); then
+  printf '%s\n' "${targets[@]}" | xargs -P "$WEFT_FUZZ_JOBS" -n 1 "${BASH_SOURCE[0]}" "$build" "$options"
+  exit
+fi
 for target in "${targets[@]}"; do
   mkdir -p "$build/corpus/$target" "$build/found"
   log=$build/found/$target.log
