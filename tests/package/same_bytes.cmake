@@ -11,7 +11,7 @@ function(run)
 endfunction()
 
 file(REMOVE_RECURSE ${WORK})
-foreach(part CMakeLists.txt framework plugins apps cmake configs tests/package/plugins)
+foreach(part CMakeLists.txt LICENSE framework plugins apps cmake configs tests/package/plugins)
   get_filename_component(folder ${part} DIRECTORY)
   file(COPY ${ROOT}/${part} DESTINATION ${WORK}/a/longer/way/weft/${folder})
 endforeach()
