@@ -103,7 +103,8 @@ std::string step_name(Index number) { return "step_" + std::to_string(number + 1
 
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
-  given.saved_config();  // before any work, because it also checks the slots that the session does not use
+  ConfigNode whole =
+      given.saved_config();  // before any work, because it also checks the slots that the session does not use
   const auto folder =
       result_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
   const Identity identity = given.identity("run");
@@ -135,10 +136,9 @@ int run(Context& context, const std::string& file) {
                   round.plan.releases ? "" : "  (no release yet)", corrected);
     context.say(line);
   };
-  ConfigNode whole = given.saved_config();
   const auto done = [&](const SessionStep& step, Index number, const Task& task, const SessionResult& result) {
     if (is_sequence) whole = repeatable(whole, step, result, "manipulations." + std::to_string(number) + ".");
-    ConfigNode saved = given.saved_config();
+    ConfigNode saved = whole;
     if (is_sequence) {
       saved = self_contained(step.resolved, describe_params<SessionParams>(), task, *given.registry);
       if (number > 0)

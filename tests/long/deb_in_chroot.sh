@@ -27,27 +27,27 @@ cp /etc/resolv.conf /etc/hosts "$system/etc/"
 printf '#!/bin/sh\nexit 101\n' >"$system/usr/sbin/policy-rc.d"  # starts no services
 chmod 755 "$system/usr/sbin/policy-rc.d"
 echo force-unsafe-io >"$system/etc/dpkg/dpkg.cfg.d/unsafe"  # it is thrown away
-cp "${debs[@]}" "$system/root/"
+cp "${debs[@]}" "$system/srv/"
 
 # Runs a line in the new system, with a /proc of its own and nothing of this shell's environment.
 inside() {
   unshare --mount sh -c 'mount -t proc proc "$1/proc" && exec chroot "$1" /usr/bin/env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin \
-    HOME=/root DEBIAN_FRONTEND=noninteractive /bin/bash -euc "$2"' sh "$system" "$1" </dev/null
+    HOME=/srv DEBIAN_FRONTEND=noninteractive /bin/bash -euc "$2"' sh "$system" "$1" </dev/null
 }
 
 echo "== install ${debs[*]##*/}"
-inside 'apt-get -qq update; apt-get -qq install -y --no-install-recommends /root/*.deb >/root/apt.log 2>&1 || { cat /root/apt.log; exit 1; }
-  grep -c "^Setting up" /root/apt.log; dpkg-query -W -f "\${Package} \${Version}: \${Installed-Size} kB\n" weft'
+inside 'apt-get -qq update; apt-get -qq install -y --no-install-recommends /srv/*.deb >/srv/apt.log 2>&1 || { cat /srv/apt.log; exit 1; }
+  grep -c "^Setting up" /srv/apt.log; dpkg-query -W -f "\${Package} \${Version}: \${Installed-Size} kB\n" weft'
 echo "== what is there"
-inside 'weft --version; weft plugins | tee /root/plugins.txt; ldd /usr/bin/weft >/root/ldd.txt
-  if grep -E "refused|not found" /root/plugins.txt /root/ldd.txt; then exit 1; fi
+inside 'weft --version; weft plugins | tee /srv/plugins.txt; ldd /usr/bin/weft >/srv/ldd.txt
+  if grep -E "refused|not found" /srv/plugins.txt /srv/ldd.txt; then exit 1; fi
   test -s /usr/share/bash-completion/completions/weft'
 echo "== fold the default shirt"
-inside 'cd /root; weft run /usr/share/weft/configs/tasks/tshirt_fold.yaml --out fold; ls fold; test -s fold/report.html
+inside 'cd /srv; weft run /usr/share/weft/configs/tasks/tshirt_fold.yaml --out fold; ls fold; test -s fold/report.html
   grep -q "\"released\": true" fold/summary.json'
 if [[ ${2:-} == --torch ]]; then
   echo "== train a small network"
-  inside 'cd /root; small=/usr/share/weft/configs/experiments/towel_small.yaml; weft generate $small --examples 32 --out data --quiet
+  inside 'cd /srv; small=/usr/share/weft/configs/experiments/towel_small.yaml; weft generate $small --examples 32 --out data --quiet
     weft train $small --data data --out model.h5 --set predictor.params.training.iterations=20 --quiet; test -s model.h5; echo trained'
 fi
 echo "== all passed"

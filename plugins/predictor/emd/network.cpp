@@ -236,15 +236,20 @@ void Network::advance(const Block& block, Tape& tape) const {
   }
 }
 
+std::vector<float> Network::wanted_states(const Block& block, const Tape& tape) const {
+  std::vector<float> z(size_of(std::ssize(block.wanted), z_));
+  for (Index w = 0; w < std::ssize(block.wanted); ++w) {
+    const auto& one = block.wanted[w];
+    std::copy_n(tape.z[one.step].data() + size_of(one.row, z_), z_, z.data() + size_of(w, z_));
+  }
+  return z;
+}
+
 void Network::decode(const Block& block, Tape& tape, float* mean, float* sigma) const {
   const Index n = decoded(), rows = block.rows;
   const Index wanted = block.wanted.size();
   const Index width = arch_.decoder_hidden;
-  std::vector<float> z(size_of(wanted, z_));
-  for (Index w = 0; w < wanted; ++w) {
-    const auto& one = block.wanted[w];
-    std::copy_n(tape.z[one.step].data() + size_of(one.row, z_), z_, z.data() + size_of(w, z_));
-  }
+  std::vector<float> z = wanted_states(block, tape);
   tape.decoder_pre.resize(size_of(wanted, width));
   times(decoder_in_, wanted, z.data(), z_, tape.decoder_pre.data(), width, bias(layout_.decoder_bias), false);
   std::vector<float> features(tape.decoder_pre.size());

@@ -45,7 +45,7 @@ class Network {
   /// @param weights [Layout::size], not kept. @param columns coordinates that the decoder gives, ascending; empty: all.
   void set_weights(const float* weights, const std::vector<std::int64_t>& columns, Host& host);
   /// Coordinates that the decoder gives.
-  Index decoded() const { return columns_.empty() ? dim_.coordinates() : static_cast<Index>(columns_.size()); }
+  Index decoded() const { return columns_.empty() ? dim_.coordinates() : std::ssize(columns_); }
 
   struct Tape {
     std::vector<Index> running, offset;         // per segment
@@ -79,6 +79,7 @@ class Network {
  private:
   // forward(), in three steps: shapes to latent states, segment by segment, latent states to the wanted shapes.
   void encode(const Block& block, Tape& tape) const;
+  std::vector<float> wanted_states(const Block& block, const Tape& tape) const;  ///< [wanted, latent_size]
   std::vector<float> velocities(const Block& block) const;  ///< [rows, latent]: the encoder's second input
   void advance(const Block& block, Tape& tape) const;
   void decode(const Block& block, Tape& tape, float* mean, float* sigma) const;

@@ -54,15 +54,11 @@ void Network::put_rows(int weight, Index m, const float* d, float* gradient, boo
 void Network::decoder_gradient(const Block& block, const Tape& tape, const float* d_mean, const Cotangents& d,
                                float* gradient) const {
   const Index wanted = block.wanted.size(), rows = block.rows, width = arch_.decoder_hidden;
-  std::vector<float> features(tape.decoder_pre.size()), code(size_of(wanted, z_));
+  std::vector<float> features(tape.decoder_pre.size());
   kernels_.activate(features.size(), tape.decoder_pre.data(), features.data(), tanh());
-  for (Index w = 0; w < wanted; ++w) {
-    const auto& one = block.wanted[w];
-    std::copy_n(tape.z[one.step].data() + size_of(one.row, z_), z_, code.data() + size_of(w, z_));
-  }
   put_product(layout_.sigma, wanted, features.data(), d.log_sigma.data(), gradient);
   put_rows(layout_.sigma_bias, wanted, d.log_sigma.data(), gradient);
-  put_product(layout_.decoder_in, wanted, code.data(), d.decoder.data(), gradient);
+  put_product(layout_.decoder_in, wanted, wanted_states(block, tape).data(), d.decoder.data(), gradient);
   put_rows(layout_.decoder_bias, wanted, d.decoder.data(), gradient);
   if (arch_.differential_decoding) {
     std::vector<float> start(tape.start_pre.size());

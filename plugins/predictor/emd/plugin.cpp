@@ -2,4 +2,4 @@
 
 #include "emd.hpp"
 
-WEFT_PLUGIN(weft::Predictor, weft::emd::EmdPredictor, weft::emd::Params, "emd", "1.0.0")
+WEFT_PLUGIN(weft::Predictor, weft::emd::EmdPredictor, weft::emd::Params, "emd", "1.1.0")

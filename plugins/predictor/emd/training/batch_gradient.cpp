@@ -24,11 +24,10 @@ std::vector<double> BatchGradient::compute(const std::vector<float>& weights, co
   std::vector<double> losses(gradients_.size());
   host_.parallel_for(std::ssize(gradients_), [&](std::int64_t p) {
     std::vector<Sequence> part;
-    for (std::size_t i = first_part_ + static_cast<std::size_t>(p); i < sequences.size(); i += all_parts_)
-      part.push_back(sequences[i]);
+    for (std::size_t i = first_part_ + p; i < sequences.size(); i += all_parts_) part.push_back(sequences[i]);
     Batch batch = passes_.make_batch(std::move(part));
     batch.columns = columns;
-    std::vector<float> mean(batch.wanted.size() * static_cast<std::size_t>(network_.decoded())), sigma(mean.size());
+    std::vector<float> mean(batch.wanted.size() * network_.decoded()), sigma(mean.size());
     Network::Tape tape;
     network_.forward(batch, tape, mean.data(), sigma.data());
     const LossGradient loss =

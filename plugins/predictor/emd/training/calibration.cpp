@@ -64,7 +64,7 @@ void tally_errors(Passes& passes, const Graph& graph, const std::vector<Sequence
     const Tensor error = (out.mean - passes.target(batch)).contiguous(),
                  sigma = sigma_of(passes.model(), out.log_sigma).value.contiguous();
     const Index n = error.size(1);
-    of_batch[b].resize(static_cast<std::size_t>(batch.steps.front()));
+    of_batch[b].resize(batch.steps.front());
     for (std::size_t w = 0; w < batch.wanted.size(); ++w) {
       of_batch[b][batch.wanted[w].step - 1].add(error.data_ptr<float>() + w * n, sigma.data_ptr<float>() + w * n, n);
     }

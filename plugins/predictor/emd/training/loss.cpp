@@ -35,11 +35,11 @@ LossGradient loss_gradient(const std::vector<float>& mean, const std::vector<flo
   gradient.d_mean.resize(mean.size());
   gradient.d_sigma.resize(mean.size());
   for (std::size_t w = 0; w < shapes; ++w) {
-    const float* target = batch.target.data() + w * static_cast<std::size_t>(coordinates);
+    const float* target = batch.target.data() + w * coordinates;
     double sum = 0.0;
     for (std::size_t c = 0; c < n; ++c) {
       const std::size_t i = w * n + c;
-      const float x = target[batch.columns.empty() ? c : static_cast<std::size_t>(batch.columns[c])];
+      const float x = target[batch.columns.empty() ? c : batch.columns[c]];
       const float s = sigma[i], r = (mean[i] - x) / s;
       sum += static_cast<double>(0.5f * r * r + std::log(s));
       const float weight = (beta > 0 ? scale * std::pow(s, 2.0f * static_cast<float>(beta)) : scale) / s;
