@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs weft's Debian package into a new Debian 12 and folds the default shirt there: deb_in_chroot.sh FOLDER [--torch]
 #
-# FOLDER has the packages that `cpack -G DEB` made. The system is made by mmdebstrap (Debian's package; it needs root) in a
+# FOLDER has the packages that `cpack -G DEB` made, after `./weft plugins`. The system is made by mmdebstrap (Debian's package; it needs root) in a
 # temporary folder, from the machine's own sources of packages, and has nothing but what weft depends on. --torch installs
 # weft-torch too, and trains for a moment; it downloads some 300 MB more.
 # Takes minutes and the network, so it is run by hand. Exit code 0: folded; 77: mmdebstrap is not there.
