@@ -103,8 +103,8 @@ std::string step_name(Index number) { return "step_" + std::to_string(number + 1
 
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
-  ConfigNode whole =
-      given.saved_config();  // before any work, because it also checks the slots that the session does not use
+  // Before any work, because it also checks the slots that the session does not use.
+  ConfigNode whole = given.saved_config();
   const auto folder =
       result_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
   const Identity identity = given.identity("run");
@@ -146,7 +146,7 @@ int run(Context& context, const std::string& file) {
     }
     const auto target = is_sequence ? folder / step_name(number) : folder;
     if (is_sequence) make_folder_for_results(target);
-    // It names the plugins that were used, so it is made after the fold.
+    // The provenance names the plugins that were used, so it is made after the fold.
     write_fold(target, task, repeatable(saved, step, result), result, given.provenance(identity),
                given.host->threads());
     for (const auto& warning : garment_warnings(*task.garment)) given.host->log(LogLevel::warning, warning);

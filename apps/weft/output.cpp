@@ -106,16 +106,16 @@ std::string provenance_json(const PluginRegistry& registry, std::uint64_t seed, 
 
 namespace {
 
-/// The folders that the plugins came from, but for the one that is always searched.
+/// The folders of the plugins that configs named, but for the one that is always searched.
 ConfigNode plugin_folders(const PluginRegistry& registry) {
-  std::set<fs::path> used;
-  for (const auto& entry : registry.used()) used.insert(fs::absolute(entry.file).parent_path().lexically_normal());
-  used.erase(fs::absolute(PluginRegistry::default_search_path().back()).lexically_normal());
+  std::set<fs::path> needed;
+  for (const auto& entry : registry.named()) needed.insert(fs::absolute(entry.file).parent_path().lexically_normal());
+  needed.erase(fs::absolute(PluginRegistry::default_search_path().back()).lexically_normal());
   std::vector<ConfigNode> folders;
   for (const auto& folder : registry.search_path()) {  // in the order in which they were searched
     const fs::path whole = fs::absolute(folder).lexically_normal();
     const fs::path name = whole.has_filename() ? whole : whole.parent_path();
-    if (used.erase(name) > 0) folders.push_back(ConfigNode::quoted(name.string()));
+    if (needed.erase(name) > 0) folders.push_back(ConfigNode::quoted(name.string()));
   }
   return ConfigNode::sequence(std::move(folders));
 }

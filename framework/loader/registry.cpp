@@ -133,6 +133,14 @@ struct PluginRegistry::Impl {
   mutable std::map<fs::path, std::shared_ptr<const Library>> open;  // by canonical file
   mutable std::map<fs::path, std::string> refused;
   mutable std::map<std::string, PluginEntry> used;
+  mutable std::map<std::string, PluginEntry> named;
+
+  std::vector<PluginEntry> copy_of(const std::map<std::string, PluginEntry>& those) const {
+    const std::lock_guard lock(mutex);
+    std::vector<PluginEntry> entries;
+    for (const auto& [key, entry] : those) entries.push_back(entry);
+    return entries;
+  }
 
   std::shared_ptr<const Library> library(const fs::path& file) const {
     std::error_code ignored;
@@ -349,6 +357,8 @@ std::pair<std::string, PluginEntry> PluginRegistry::look_up(const std::string& k
     throw PluginError(version.where() + ": " + version.path() + " = " + version.as_string() + ", but " +
                       entry.file.string() + " is " + name + " " + entry.version);
   }
+  const std::lock_guard lock(impl_->mutex);
+  impl_->named[entry.kind + "/" + entry.name] = entry;
   return {std::move(name), std::move(entry)};
 }
 
@@ -434,11 +444,8 @@ std::pair<std::shared_ptr<void>, PluginEntry> PluginRegistry::create(const std::
   return {std::shared_ptr<void>(object, destroy), library->entry};
 }
 
-std::vector<PluginEntry> PluginRegistry::used() const {
-  const std::lock_guard lock(impl_->mutex);
-  std::vector<PluginEntry> entries;
-  for (const auto& [key, entry] : impl_->used) entries.push_back(entry);
-  return entries;
-}
+std::vector<PluginEntry> PluginRegistry::used() const { return impl_->copy_of(impl_->used); }
+
+std::vector<PluginEntry> PluginRegistry::named() const { return impl_->copy_of(impl_->named); }
 
 }  // namespace weft

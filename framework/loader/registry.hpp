@@ -56,6 +56,8 @@ class PluginRegistry {
                                                        Host& host) const;
   /// Every plugin that was created, sorted by kind and name.
   std::vector<PluginEntry> used() const;
+  /// Every plugin that a slot named, also one that was never created: a saved config must find these again.
+  std::vector<PluginEntry> named() const;
 
  private:
   struct Impl;

@@ -217,6 +217,19 @@ TEST(Identity, ASavedConfigFindsItsPlugins) {
   const Outcome second = weft_command(again + quoted(files.folder / "again"));
   ASSERT_EQ(second.code, first.code) << second.output;
   EXPECT_TRUE(without_times(tree_of(files.folder / "r")) == without_times(tree_of(files.folder / "again")));
+  // The other commands that save a task's config, and a run of several folds.
+  const auto finds_again = [&](const std::string& command, const fs::path& saved) {
+    const Outcome made = test::run_shell("WEFT_PLUGIN_PATH=" + quoted(plugins) + " '" WEFT_PROGRAM "' " + command);
+    ASSERT_LE(made.code, 1) << made.output;
+    std::ifstream stream(saved);
+    const std::string text{std::istreambuf_iterator<char>(stream), {}};
+    EXPECT_THAT(text, AllOf(HasSubstr("momentum"), HasSubstr("my plugins"))) << command;
+  };
+  const std::string task = quoted(files.folder / "task.yaml") + " --set optimiser=momentum --quiet --out ";
+  finds_again("evaluate planning --widths 0.5 --cases 1 " + task + quoted(files.folder / "e"),
+              files.folder / "e/config.yaml");
+  finds_again("run --set 'manipulations=[{}]' " + task + quoted(files.folder / "s"), files.folder / "s/config.yaml");
+  finds_again("plan " + task + quoted(files.folder / "p"), files.folder / "p/config.yaml");
   fs::remove_all(plugins);
   const Outcome missing = weft_command(again + quoted(files.folder / "third"));
   EXPECT_EQ(missing.code, 2);
