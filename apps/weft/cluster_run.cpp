@@ -1,5 +1,6 @@
 #include "cluster_run.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
@@ -128,8 +129,18 @@ ClusterWork single_work(const std::string& command, const std::string& label, co
   return work;
 }
 
+std::int64_t ranks_of_profile(const ClusterOptions& options, const ClusterWork& work) {
+  return read_cluster_choice(options.on, profile_folders(work.results)).profile.ranks;
+}
+
 int run_on_cluster(const Context& context, const ClusterOptions& options, ClusterWork work,
                    const std::function<void()>& prepare) {
+  const auto has = [&](const char* word) {
+    return std::find(context.words.begin(), context.words.end(), word) != context.words.end();
+  };
+  if (has("--share")) throw ConfigError("--share is what the tasks of --on do; leave it out");
+  if (has("--fail-fast"))
+    throw ConfigError("--fail-fast ends one process, and the other tasks of --on would go on; leave it out");
   work.arguments = words_of_tasks(context.words, work.command == "generate");
   const ClusterChoice choice = read_cluster_choice(options.on, profile_folders(work.results));
   Submission submission(std::move(work), choice, this_program({}).front());
@@ -139,7 +150,7 @@ int run_on_cluster(const Context& context, const ClusterOptions& options, Cluste
   }
   const Slurm slurm;
   Context::catch_signals();
-  const SubmitEnd end = submit(submission, slurm, prepare);
+  const SubmitEnd end = submit(submission, slurm, prepare, context.cancel_flag());
   const std::string folder = submission.work.results.string();
   if (end == SubmitEnd::nothing_left) {
     context.say("everything is there; nothing was submitted: " + folder);

@@ -1,4 +1,5 @@
 #pragma once
+#include <cstdint>
 #include <functional>
 #include <string>
 #include <vector>
@@ -21,6 +22,9 @@ void add_cluster_options(CLI::App& command, ClusterOptions& options);
 
 /// A command that is one unit of work. @param result the file without which it is not done; its folder has the results.
 ClusterWork single_work(const std::string& command, const std::string& label, const std::filesystem::path& result);
+
+/// The ranks that the profile of --on asks for. @throws as read_cluster_choice().
+std::int64_t ranks_of_profile(const ClusterOptions& options, const ClusterWork& work);
 
 /// Submits a command's work, unless its jobs are in the queue already, and follows it until it ends.
 /// @param work without `arguments`: they are those of this call. @param prepare writes what the tasks need to find, after

@@ -22,9 +22,10 @@ namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
 /// The arguments with which each of several ranks on this machine does what this process was asked to do.
-std::vector<std::string> arguments_of_rank(const Context& context, const std::string& file,
+std::vector<std::string> arguments_of_rank(const Context& context, const TrainCall& call,
                                            const std::vector<std::string>& folders, int threads) {
-  std::vector<std::string> arguments{"train", file, "--out", context.out, "--jobs", std::to_string(threads)};
+  std::vector<std::string> arguments{"train", call.config, "--out", context.out, "--jobs", std::to_string(threads)};
+  if (call.in_memory) arguments.emplace_back("--in-memory");
   for (const auto& folder : folders) arguments.insert(arguments.end(), {"--data", folder});
   for (const auto& assignment : context.overrides) arguments.insert(arguments.end(), {"--set", assignment});
   if (context.seed) arguments.insert(arguments.end(), {"--seed", std::to_string(*context.seed)});
@@ -89,12 +90,19 @@ int train_model(Context& context, const TrainCall& call) {
   if (folders.empty()) throw ConfigError("weft train: --data FOLDER is required (or `dataset:` in the config)");
 
   const TrainingCapabilities can = learner->training_capabilities();
-  if ((wanted_ranks > 1 || ranks.size > 1) && !can.ranks)
+  const std::int64_t planned_ranks =
+      call.cluster.is_given() ? ranks_of_profile(call.cluster, work) : std::max<std::int64_t>(wanted_ranks, ranks.size);
+  if (planned_ranks > 1 && !can.ranks)
     given.config.fail("predictor cannot be trained over ranks; start one process, or name {plugin: emd}");
+  if (can.parts > 0 && can.parts % planned_ranks != 0)
+    given.config.fail("predictor divides a batch into " + std::to_string(can.parts) + " parts, which " +
+                      std::to_string(planned_ranks) +
+                      " ranks cannot share equally; set training.parts, or votes, to a "
+                      "multiple");
   if (wanted_ranks > 1 && ranks.size == 1 && !call.cluster.is_given()) {
-    return run_ranks(
-        context, arguments_of_rank(context, call.config, folders, std::max(1, given.host->threads() / wanted_ranks)),
-        wanted_ranks, [&] { return given.host->cancelled(); });
+    return run_ranks(context,
+                     arguments_of_rank(context, call, folders, std::max(1, given.host->threads() / wanted_ranks)),
+                     wanted_ranks, [&] { return given.host->cancelled(); });
   }
 
   const Identity identity = learning_identity(given, "train", folders);
@@ -109,8 +117,8 @@ int train_model(Context& context, const TrainCall& call) {
   if (call.cluster.is_given())
     return run_on_cluster(context, call.cluster, work,
                           [&] { write_planned_identity(work.results, work.label, identity); });
-  const Dataset dataset =
-      read_datasets(context, folders, given.task, can.stored_shapes ? ShapesIn::files : ShapesIn::memory);
+  const Dataset dataset = read_datasets(context, folders, given.task,
+                                        can.stored_shapes && !call.in_memory ? ShapesIn::files : ShapesIn::memory);
   if (ranks.rank > 0) return learner->fit(dataset, given.task, options, {}).finished ? 0 : 1;
   const fs::path out = model.has_parent_path() ? model.parent_path() : fs::path(".");
   make_writable_folder(out);
@@ -151,6 +159,10 @@ void register_train(CLI::App& app, Context& context) {
       ->add_option("--ranks", call->ranks,
                    "Processes on this machine that share each batch; under mpirun or srun their number is known")
       ->check(within(1, 256));
+  command->add_flag(
+      "--in-memory", call->in_memory,
+      "Read all shapes at once, such as from a slow file server. By default each is read when it is used, so a "
+      "dataset may be larger than the memory. The model is the same");
   command->callback([&context, call] { context.action = [&context, call] { return train_model(context, *call); }; });
 }
 

@@ -131,7 +131,8 @@ ordered_json Learning::fit() {
     return true;
   };
   show("training", "reading the examples" + left_in_all(0.0, 0, numbers_.iterations));
-  const int code = train_model(step, {config_file(), {examples_of("fit").string()}, {}, 1, progress});
+  const int code =
+      train_model(step, {.config = config_file(), .data = {examples_of("fit").string()}, .progress = progress});
   require_not_stopped();
   if (code != 0) throw Error("the fit did not end; run the same command again to go on");
   ordered_json found = ordered_json::object();

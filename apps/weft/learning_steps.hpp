@@ -29,6 +29,7 @@ struct TrainCall {
   std::vector<std::string> data;  ///< folders; empty: `dataset` of the config
   ClusterOptions cluster = {};
   int ranks = 1;
+  bool in_memory = false;     ///< shapes are read at once, not example by example
   FitObserver progress = {};  ///< empty: lines are printed
 };
 int train_model(Context& context, const TrainCall& call);

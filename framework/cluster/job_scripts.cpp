@@ -26,15 +26,23 @@ std::string option_if(const std::string& name, std::int64_t value) {
   return value == 0 ? "" : option(name, std::to_string(value));
 }
 
-/// Runs weft, passes SIGTERM on to it, and decides by its exit code. What is run comes as the function `work`.
+/// Passes SIGTERM on to weft, which is the child.
+constexpr const char* kAskChild = R"(ask_to_end() { kill -TERM "$child" 2>/dev/null; }
+)";
+/// srun, which is the child, kills its processes when it gets SIGTERM. scancel signals them, and not this script.
+constexpr const char* kAskStep =
+    R"(ask_to_end() { scancel --quiet --signal=TERM "$id" || kill -TERM "$child" 2>/dev/null; }
+)";
+
+/// Runs weft, asks it to end when SIGTERM comes, and decides by its exit code. What is run comes as the function `work`.
 constexpr const char* kRun = R"(stops=0
 child=
-trap 'stops=$((stops + 1)); if [ -n "$child" ]; then kill -TERM "$child" 2>/dev/null; fi' TERM
+trap 'stops=$((stops + 1)); if [ -n "$child" ]; then ask_to_end; fi' TERM
 kills=0
 while :; do
+  if [ "$stops" -gt 0 ]; then code=75; break; fi  # before it began
   work &
   child=$!
-  if [ "$stops" -gt 0 ]; then kill -TERM "$child" 2>/dev/null; fi
   while :; do  # wait also ends when a signal comes
     seen=$stops
     wait "$child"
@@ -150,13 +158,22 @@ std::string JobScripts::text(JobKind kind, std::int64_t tasks) const {
       s += "export " + line.substr(0, mark) + "=" + shell_word(line.substr(mark + 1)) + "\n";
     }
   }
-  for (const auto& module : profile.modules) s += "module load " + shell_word(module) + "\n";
+  s += R"(fail() { echo "error: $*"; record "ended code=1 stops=0 node=$node"; exit 1; })"
+       "\n";
+  s += "set +u\n";  // modules and people's lines read variables that are not set
+  for (const auto& module : profile.modules)
+    s += "module load " + shell_word(module) + " || fail " + shell_word("module load " + module + " failed") + "\n";
   for (const auto& line : profile.setup) s += line + "\n";
-  s += "cd " + shell_word(working_folder.string()) + " || exit 1\n";
+  s += "set -u\n";
+  s += "cd " + shell_word(working_folder.string()) + " || fail " +
+       shell_word("this node has no folder " + working_folder.string()) + "\n";
 
   std::string words = profile.launcher;
   if (is_report) words.clear();
   if (many_ranks && words.empty()) words = "srun";
+  const bool is_srun = words == "srun" || words.starts_with("srun ");
+  // srun does not take it over from the job.
+  if (is_srun) s += "export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-" + std::to_string(profile.cpus) + "}\n";
   if (!profile.container.empty()) words += (words.empty() ? "" : " ") + profile.container;
   words += (words.empty() ? "" : " ") + shell_word(profile.program.empty() ? default_program : profile.program);
   if (is_report) {
@@ -166,7 +183,7 @@ std::string JobScripts::text(JobKind kind, std::int64_t tasks) const {
   }
   for (const auto& argument : arguments) words += " " + shell_word(argument);
   if (is_task && is_shared) words += " --share";
-  s += "work() { exec " + words + "; }\n\n" + kRun;
+  s += "work() { exec " + words + "; }\n\n" + (is_srun ? kAskStep : kAskChild) + kRun;
   if (is_task && is_shared) s += kAfterTask;
   s += "exit \"$code\"\n";
   return s;

@@ -24,7 +24,15 @@ struct JobRecord {
   std::vector<std::string> nodes;                      ///< of each start
   int ends = 0, requeues = 0, kills = 0, resumed = 0;  ///< resumed: starts after it was asked to end
   bool has_ended = false, gave_up = false;             ///< of the last start
-  int code = 0;                                        ///< of the last end
+  int code = 0, stops = 0;                             ///< of the last end; stops: how often it was asked to end
+
+  /// Whether no further start follows, as the script decides it.
+  bool is_final() const {
+    if (gave_up) return true;
+    const bool goes_back = code == kStartAgain || (stops > 0 && code != 0 && code != kOthersAtWork);
+    return has_ended && !goes_back;
+  }
+  bool is_good() const { return has_ended && code == 0; }
 };
 
 JobRecord read_record(const fs::path& file) {
@@ -45,6 +53,7 @@ JobRecord read_record(const fs::path& file) {
       ++record.ends;
       record.has_ended = true;
       record.code = std::atoi(value("code").c_str());
+      record.stops = std::atoi(value("stops").c_str());
     } else if (line.starts_with("requeued")) {
       ++record.requeues;
     } else if (line.starts_with("killed ")) {
@@ -130,13 +139,13 @@ class Look {
     states_.done = submission_.units_there();
     if (!submission_.array.empty())
       for (std::int64_t task = 1; task <= submission_.tasks; ++task) look_at_task(static_cast<int>(task));
-    bool last_is_good = false;
-    if (submission_.scripts.is_shared) {
-      last_is_good = look_at_merge();
-    } else {
-      last_is_good = states_.failed == 0 && states_.waiting + states_.running == 0 && states_.ended > 0;
-    }
-    bool report_goes_on = is_going_on(submission_.report);
+    // A file is there from the first evaluation of a fit on, and may be an earlier one's: only the job's end says that all is
+    // done.
+    const bool last_is_good = submission_.scripts.is_shared
+                                  ? look_at_merge()
+                                  : read_record(submission_.scripts.record(submission_.array + "_1")).is_good() &&
+                                        states_.failed + states_.waiting + states_.running == 0;
+    const bool report_goes_on = is_going_on(submission_.report);
     states_.is_over = answers_ && states_.waiting + states_.running == 0 && states_.merge != "waiting" &&
                       states_.merge != "running" && !report_goes_on;
     // A merge ends with 0 only if everything is there; files are counted for people.
@@ -169,8 +178,8 @@ class Look {
       if (!passes_by_itself(job->reason)) states_.troubles.push_back(name + " does not start: " + job->reason);
       return;
     }
-    if (!answers_ && !record.nodes.empty() && !record.has_ended) {
-      ++states_.running;  // as far as can be seen
+    if (!answers_ && job == nullptr && !record.is_final()) {  // as far as can be seen
+      ++(record.nodes.empty() || record.has_ended ? states_.waiting : states_.running);
       return;
     }
     const std::string why = why_failed(record, job);
@@ -191,14 +200,14 @@ class Look {
         states_.troubles.push_back("the merge does not start: " + job->reason);
       return false;
     }
-    if (!answers_ && job == nullptr && !record.has_ended) {
-      states_.merge = record.nodes.empty() ? "waiting" : "running";
+    if (!answers_ && job == nullptr && !record.is_final()) {
+      states_.merge = record.nodes.empty() || record.has_ended ? "waiting" : "running";
       return false;
     }
     const std::string why = why_failed(record, job);
-    states_.merge = why.empty() ? "done" : "failed";
+    states_.merge = !why.empty() ? "failed" : record.is_good() ? "done" : "cancelled";
     if (!why.empty()) say_failure("the merge", JobKind::merge, submission_.merge, why, record, job);
-    return why.empty() && record.has_ended && record.code == 0;
+    return why.empty() && record.is_good();
   }
 
   /// Why a job that is not in the queue did not do its work; empty if it did.

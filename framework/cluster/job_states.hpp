@@ -15,7 +15,7 @@ struct JobStates {
   std::int64_t done = 0, total = 0;                     ///< units of work
   int waiting = 0, running = 0, ended = 0, failed = 0;  ///< array tasks
   std::string waiting_for;                              ///< Slurm's reason why tasks wait
-  std::string merge;                  ///< "waiting", "running", "done", "failed with exit code 1"; empty: there is none
+  std::string merge;                  ///< "waiting", "running", "done", "failed", "cancelled"; empty: there is none
   bool is_over = false;               ///< no job is in the queue; false if Slurm does not answer
   bool work_is_done = false;          ///< all units are there, and the last job ended with 0
   std::vector<std::string> troubles;  ///< which task failed, where, why, and its log

@@ -31,7 +31,7 @@ struct ClusterProfile {
     v("cpus", cpus, range(1, 1024), "Processors of a task, and so cells or examples that it works on at a time.");
     v("tasks", tasks, range(1, 100000), "Array tasks at most; there are never more than units of work.");
     v("tasks_at_a_time", tasks_at_a_time, range(0, 100000), "Array tasks that may run at the same time; 0: all.");
-    v("ranks", ranks, range(1, 10000), "Processes of `weft train`, each with `cpus` processors.");
+    v("ranks", ranks, range(1, 256), "Processes of `weft train`, each with `cpus` processors.");
     v("grace_s", grace_s, range(10, 3600, "s"),
       "Slurm asks a task to end this long before its time limit; it is then started again.");
     v("restarts", restarts, range(0, 10000), "Starts of a task after its first one, at most.");

@@ -3,13 +3,15 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cctype>
+#include <chrono>
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
+#include <thread>
 
 #include "cluster/job_states.hpp"
-#include "processes/claims.hpp"
 #include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
 #include "sdk/json_text.hpp"
@@ -26,6 +28,16 @@ constexpr const char* kRecord = "submission.json";
 fs::path whole_path(const fs::path& path) {
   const fs::path whole = fs::absolute(path).lexically_normal();
   return whole.has_filename() ? whole : whole.parent_path();
+}
+
+/// Without what separates names in a question to squeue, or fields in its answer.
+std::string name_for_slurm(const std::string& label) {
+  std::string name;
+  for (const char c : label) {
+    const bool is_plain = std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '-' || c == '_' || c == '.';
+    name += is_plain ? c : '_';
+  }
+  return name;
 }
 
 /// Variables that decide what weft finds, where the command was given.
@@ -102,6 +114,7 @@ Submission from_json(const ordered_json& json, const fs::path& folder) {
   s.work.files.result = units.at("result").get<std::string>();
   s.work.total = json.at("total").get<std::int64_t>();
   s.work.left = json.at("left").get<std::int64_t>();
+  s.submitted_as = json.at("results").get<std::string>();
   s.scripts.name = json.at("name").get<std::string>();
   s.scripts.command = s.work.command;
   s.scripts.folder = folder;
@@ -167,10 +180,13 @@ Submission::Submission(ClusterWork given, const ClusterChoice& choice, const std
   scripts.has_ranks = work.has_ranks;
   scripts.default_program = program;
   scripts.profile = choice.profile;
-  // The same for every call with this folder and command: jobs that were submitted are found again by it.
+  submitted_as = work.results;
+  // The same for every call with this folder and command, by whatever path: jobs that were submitted are found by it.
   Fingerprint place;
-  place.add(scripts.folder.string());
-  scripts.name = "weft-" + work.label + "-" + place.hex().substr(0, 8);
+  std::error_code none;
+  const fs::path real = fs::weakly_canonical(scripts.folder, none);
+  place.add((real.empty() ? scripts.folder : real).string());
+  scripts.name = "weft-" + name_for_slurm(work.label) + "-" + place.hex().substr(0, 8);
   there = unit_files_there(work);
   tasks = work.is_shared() ? std::min(work.left, scripts.profile.tasks) : 1;
 }
@@ -220,37 +236,63 @@ std::string dry_run_text(const Submission& s) {
 
 namespace {
 
-/// The jobs of a submission that Slurm knows. @throws Error if it does not answer: submitting might do it twice.
-std::vector<SlurmJob> ask(const Submission& submission, const Slurm& slurm) {
+/// The jobs of these names that Slurm knows. @throws Error if it does not answer: submitting might do it twice.
+std::vector<SlurmJob> ask(const std::vector<std::string>& names, const Slurm& slurm) {
   std::string problem;
-  auto jobs = slurm.jobs(submission.names(), problem);
+  auto jobs = slurm.jobs(names, problem);
   if (!jobs) throw Error("Slurm does not say whether jobs of this folder are in the queue: " + problem);
   return std::move(*jobs);
 }
 
 /// The id of the job of this kind that has not ended; empty without one.
-std::string id_of(const std::vector<SlurmJob>& jobs, const std::string& name) {
+/// @param submissions whose names its name may be one of.
+std::string id_of(const std::vector<SlurmJob>& jobs, JobKind kind, const std::vector<const Submission*>& submissions) {
   for (const auto& job : jobs)
-    if (!job.has_ended() && job.name == name) return job.job();
+    for (const Submission* one : submissions)
+      if (!job.has_ended() && job.name == one->scripts.job_name(kind)) return job.job();
   return "";
+}
+
+/// Whether the folder of these results is a copy of the one that the jobs were submitted for. Where that cannot be seen, as
+/// on a machine that calls it by another path, it is not.
+bool is_copied(const Submission& earlier) {
+  std::error_code none;
+  return fs::exists(earlier.submitted_as, none) && !fs::equivalent(earlier.submitted_as, earlier.work.results, none) &&
+         !none;
 }
 
 }  // namespace
 
-SubmitEnd submit(Submission& submission, const Slurm& slurm, const std::function<void()>& prepare) {
+void claim_submission(Claims& claims, const fs::path& folder, const std::atomic<bool>* stop) {
+  while (!claims.take("submit")) {
+    if (claims.is_held("submit"))
+      throw ConfigError(folder.string() + ": another weft is submitting or cancelling its jobs just now");
+    if (stop != nullptr && *stop) throw Error("stopped while it waited for " + folder.string());
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  }
+}
+
+SubmitEnd submit(Submission& submission, const Slurm& slurm, const std::function<void()>& prepare,
+                 const std::atomic<bool>* stop) {
   const fs::path folder = submission.scripts.folder;
-  ask(submission, slurm);  // before anything changes
+  ask(submission.names(), slurm);  // before anything changes
   make_writable_folder(folder / "logs");
   make_writable_folder(folder / "tasks");
   Claims claims(folder / "claims");
-  if (!claims.take("submit")) throw ConfigError(folder.string() + ": another weft is submitting its jobs just now");
+  claim_submission(claims, folder, stop);
 
   auto earlier = read_submission(folder);
-  const auto jobs = ask(submission, slurm);
+  // Another machine may call this folder by another path, and so its jobs by another name.
+  std::vector<const Submission*> both{&submission};
+  auto names = submission.names();
+  if (earlier && !is_copied(*earlier)) {
+    both.push_back(&*earlier);
+    for (auto& name : earlier->names()) names.push_back(std::move(name));
+  }
+  const auto jobs = ask(names, slurm);
   const bool is_same = earlier && earlier->work.arguments == submission.work.arguments;
-  const std::string array = id_of(jobs, submission.scripts.job_name(JobKind::task)),
-                    merge = id_of(jobs, submission.scripts.job_name(JobKind::merge)),
-                    report = id_of(jobs, submission.scripts.job_name(JobKind::report));
+  const std::string array = id_of(jobs, JobKind::task, both), merge = id_of(jobs, JobKind::merge, both),
+                    report = id_of(jobs, JobKind::report, both);
   if (!array.empty() || !merge.empty()) {
     if (!is_same || earlier->is_cancelled) {
       throw ConfigError(folder.string() + ": jobs of " + (is_same ? "a cancelled" : "another") +

@@ -1,4 +1,5 @@
 #pragma once
+#include <atomic>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -8,6 +9,7 @@
 
 #include "cluster/job_scripts.hpp"
 #include "cluster/slurm.hpp"
+#include "processes/claims.hpp"
 
 namespace weft {
 
@@ -38,9 +40,10 @@ struct Submission {
   ClusterWork work;
   JobScripts scripts;
   std::string profile_name;
-  std::int64_t tasks = 0;            ///< of the array; 0: there is nothing to do for one
-  std::int64_t there = 0;            ///< unit files when it was submitted, also those that were not asked for
-  std::string array, merge, report;  ///< ids; empty: not submitted
+  std::int64_t tasks = 0;              ///< of the array; 0: there is nothing to do for one
+  std::filesystem::path submitted_as;  ///< the folder of the results when it was submitted
+  std::int64_t there = 0;              ///< unit files when it was submitted, also those that were not asked for
+  std::string array, merge, report;    ///< ids; empty: not submitted
   bool is_cancelled = false;
 
   Submission() = default;
@@ -61,6 +64,11 @@ std::vector<Submission> read_submissions(const std::filesystem::path& results);
 /// What a submission would do, for people: each script under its name.
 std::string dry_run_text(const Submission& submission);
 
+/// Claims the submission of a folder's jobs. A claim that a process of another machine left when it was killed is taken over
+/// after a minute. @param stop ends the waiting if it becomes true; may be null.
+/// @throws ConfigError if another process has it; Error if it was stopped.
+void claim_submission(Claims& claims, const std::filesystem::path& folder, const std::atomic<bool>* stop);
+
 enum class SubmitEnd {
   submitted,
   followed,      ///< its jobs are in the queue already
@@ -71,7 +79,8 @@ enum class SubmitEnd {
 /// @param submission gets the ids, or becomes the earlier one. @param prepare writes what the jobs need to find. It is called
 /// before the first of them is submitted, and if none is, not at all.
 /// @throws ConfigError if jobs of another command are in the queue for this folder, or another process submits them now;
-/// Error if Slurm does not answer.
-SubmitEnd submit(Submission& submission, const Slurm& slurm, const std::function<void()>& prepare);
+/// Error if Slurm does not answer. @param stop as in claim_submission().
+SubmitEnd submit(Submission& submission, const Slurm& slurm, const std::function<void()>& prepare,
+                 const std::atomic<bool>* stop = nullptr);
 
 }  // namespace weft

@@ -182,6 +182,19 @@ TEST_F(Learn, ADryRunWritesNothing) {
   for (const char* made : {"results", "x"}) EXPECT_FALSE(fs::exists(folder_ / made)) << made;
 }
 
+TEST_F(Learn, WithoutSlurmOnSlurmSaysSo) {
+  for (const char* command : {"learn experiment.yaml", "generate experiment.yaml --examples 2"}) {
+    const Outcome outcome = test::run_shell("cd '" + folder_.path().string() +
+                                            "' && PATH=/nowhere '" WEFT_PROGRAM "' " + command + " --on slurm --out y");
+    EXPECT_EQ(outcome.code, 2) << command;
+    EXPECT_THAT(outcome.output, HasSubstr("sbatch is not in PATH")) << command;
+  }
+  for (const char* option : {"--share", "--fail-fast"})
+    EXPECT_THAT(refused(std::string("generate experiment.yaml --examples 2 --out y --on slurm --dry-run ") + option),
+                HasSubstr("leave it out"));
+  EXPECT_FALSE(fs::exists(folder_ / "y"));
+}
+
 TEST_F(Learn, TakesTheFolderOfAnImport) {
   ASSERT_EQ(weft(".", "garment towel --edge 0.08 --out napkin.obj --yaml").code, 0);
   const Outcome imported = weft(".", "garment import napkin.yaml --out here --garment-name small --no-tuning");

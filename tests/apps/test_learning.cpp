@@ -73,6 +73,16 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   const Outcome damaged = weft_command("dataset check " + quoted(parts));
   EXPECT_EQ(damaged.code, 1);
   EXPECT_THAT(damaged.output, HasSubstr("shard-00001.h5"));
+  // Whatever the number of threads: all damaged files, in their order.
+  std::ofstream(parts / "shard-00000.h5", std::ios::binary) << "no dataset";
+  const auto found_by = [&](const std::string& jobs) {
+    return weft_command("dataset check --json --jobs " + jobs + " " + quoted(parts)).output;
+  };
+  const auto found = nlohmann::json::parse(found_by("1"));
+  EXPECT_EQ(found.at("bad"), 2);
+  EXPECT_THAT(found.at("problems").at(0).get<std::string>(), HasSubstr("shard-00000.h5"));
+  EXPECT_THAT(found.at("problems").at(1).get<std::string>(), HasSubstr("shard-00001.h5"));
+  EXPECT_EQ(found_by("4"), found_by("1"));
   EXPECT_EQ(weft_command("generate '" + kConfig + "' --examples 8 --seed 99 --out " + quoted(whole)).code, 2);
 
   const std::string train = "train '" + kConfig + "' --jobs 1 --quiet --data " + quoted(whole) + " --out ";
@@ -82,6 +92,10 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
     return;
   }
   ASSERT_EQ(trained.code, 0) << trained.output;
+  // With all shapes in memory, and example by example, the fit is the same.
+  const Outcome at_once = weft_command(train + quoted(folder / "m/model.h5") + " --in-memory");
+  ASSERT_EQ(at_once.code, 0) << at_once.output;
+  EXPECT_TRUE(bytes_of(folder / "a/model.h5") == bytes_of(folder / "m/model.h5")) << "not the same bytes";
   // Killed as soon as the first checkpoint is written.
   test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + train + quoted(folder / "b/model.h5") +
                   " & pid=$!; for i in $(seq 600); do test -e " + quoted(folder / "b/model.checkpoint.h5") +
@@ -235,7 +249,13 @@ TEST_F(Ranks, OnOneMachineAndUnderLaunchersGiveTheBytesOfOneProcess) {
   EXPECT_THAT(four.output, HasSubstr("4 ranks"));
   const Outcome wrong = weft_command(train("wrong") + " --ranks 3");
   EXPECT_EQ(wrong.code, 2);
-  EXPECT_THAT(wrong.output, HasSubstr("training.parts = 4, must be a multiple of the number of ranks, 3"));
+  EXPECT_THAT(wrong.output, HasSubstr("divides a batch into 4 parts, which 3 ranks cannot share equally"));
+  // On a cluster it is refused before it waits in a queue.
+  std::ofstream(folder_ / "three.yaml") << "ranks: 3\n";
+  const Outcome job = weft_command(train("job") + " --on slurm:" + (folder_ / "three.yaml").string() + " --dry-run");
+  EXPECT_EQ(job.code, 2);
+  EXPECT_THAT(job.output, HasSubstr("3 ranks cannot share equally"));
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "job"));
 
   // As srun sets its variables, on two nodes: not over loopback, where there is another interface.
   std::string started =

@@ -1,5 +1,5 @@
-// repeat_dataset FROM TO COPIES: writes a dataset whose examples are those of FROM, again and again under new numbers. It
-// makes large datasets for measurements of reading; what is learned from one says nothing.
+// repeat_dataset FROM TO COPIES: writes a dataset whose examples are those of FROM, again and again under new numbers. Files
+// that TO has already stay. It makes large datasets for measurements of reading; what is learned from one says nothing.
 #include <cstdio>
 #include <cstdlib>
 
@@ -16,17 +16,19 @@ int main(int argc, char** argv) {
     const std::int64_t copies = std::atoll(argv[3]), each = all.header.shard_examples;
     std::int64_t number = 0;
     weft::Shard shard{all.header, {}};
+    const auto write = [&](std::int64_t file) {
+      const auto path = std::filesystem::path(argv[2]) / weft::shard_name(file);
+      if (!std::filesystem::exists(path)) weft::write_shard(path, shard);
+      shard.examples.clear();
+    };
     for (std::int64_t copy = 0; copy < copies; ++copy) {
       for (weft::Example example : all.examples) {
         example.index = number++;
         shard.examples.push_back(std::move(example));
-        if (number % each != 0) continue;
-        weft::write_shard(std::filesystem::path(argv[2]) / weft::shard_name(number / each - 1), shard);
-        shard.examples.clear();
+        if (number % each == 0) write(number / each - 1);
       }
     }
-    if (!shard.examples.empty())
-      weft::write_shard(std::filesystem::path(argv[2]) / weft::shard_name(number / each), shard);
+    if (!shard.examples.empty()) write(number / each);
     std::printf("%lld examples\n", static_cast<long long>(number));
     return 0;
   } catch (const std::exception& error) {

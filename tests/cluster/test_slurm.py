@@ -397,7 +397,10 @@ def trained_over_ranks(bench):
     ranks(2)
     sent = bench.slurm.run("scancel", "--signal=TERM", "--batch", f"{array}_1")
     require(sent.returncode == 0, f"scancel: {sent.stderr}")
-    bench.require_done(work, "the job was started 3 times", "by a signal from outside", file=file)
+    bench.require_done(work, "the job was started 3 times", "by a signal from outside",
+                       "1 x after Slurm asked it to end", file=file)
+    record = (bench.out / f"slurm/train-model/tasks/{array}_1.txt").read_text()
+    require("ended code=75 stops=1" in record, f"the ranks were killed, and not asked to end: {record}")
 
 
 def learned(bench):

@@ -1,5 +1,7 @@
 // Training over ranks, and from shapes in files: the bits of one process with all in memory. Ranks are threads here, each
 // with a predictor of its own, and talk over loopback; tests/apps/test_learning.cpp has processes.
+#include <cmath>
+#include <cstdlib>
 #include <optional>
 #include <set>
 
@@ -33,7 +35,7 @@ class MortalHost final : public Host {
 
 struct RankEnd {
   std::optional<FitReport> report;
-  std::string error;
+  std::string error, log;
 };
 
 class EmdRanks : public ::testing::Test {
@@ -57,6 +59,7 @@ class EmdRanks : public ::testing::Test {
           options.ranks = {r, ranks, folder_ / ("." + name + ".ranks"), true, ""};
           end.report =
               predictor.fit(data_, task_, options, [&](const FitProgress& p) { return p.iteration < stop_at; });
+          end.log = host.messages_;
         } catch (const std::exception& error) {
           end.error = error.what();
         }
@@ -103,6 +106,24 @@ TEST_F(EmdRanks, AFitHasTheBitsOfOneProcess) {
     models.insert(model(name + "1"));
   }
   EXPECT_EQ(models.size(), 3u);
+}
+
+TEST_F(EmdRanks, AVoteOfOneBitSendsABitForEachWeight) {
+  auto& t = params_.training;
+  t.parts = t.votes = 3;
+  const auto sent_bytes = [&](const std::string& name) {
+    const auto ends = fit(name, 3);
+    const auto at = ends[1].log.find("rank 1 of 3 sent ");
+    EXPECT_NE(at, std::string::npos) << ends[1].error << ends[1].log;
+    return at == std::string::npos ? std::nan("") : 1e6 * std::atof(ends[1].log.c_str() + at + 17);
+  };
+  const double whole = sent_bytes("adam");
+  t.optimiser = "signsgd";
+  const double sign = sent_bytes("sign");
+  t.vote = "one_bit";
+  const double bit = sent_bytes("bit");
+  EXPECT_NEAR(whole / sign, 4.0, 0.1);
+  EXPECT_NEAR(sign / bit, 8.0, 0.4);  // slices are rounded to whole bytes, and megabytes to three places
 }
 
 TEST_F(EmdRanks, AnyNumberOfRanksGoesOnWhereOthersStopped) {

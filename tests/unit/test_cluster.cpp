@@ -97,10 +97,10 @@ TEST(JobScripts, SayWhatTheProfileSays) {
                     HasSubstr("#SBATCH --mem=4000\n"), HasSubstr("#SBATCH --cpus-per-task=4\n"),
                     HasSubstr("#SBATCH --array=1-8%3\n"), HasSubstr("#SBATCH --exclude=n7\n"),
                     HasSubstr("#SBATCH --signal=B:TERM@60\n"), HasSubstr("/100%%/slurm/ablate/logs/task-%A_%a.log")));
-  EXPECT_THAT(
-      task,
-      AllOf(HasSubstr("module load gcc/12\n"), HasSubstr("export NOTE='a b'\n"), HasSubstr("ulimit -c 0\n"),
-            HasSubstr("apptainer exec weft.sif weft ablate 'it'\\''s here.yaml' --out"), HasSubstr(" --share; }")));
+  EXPECT_THAT(task, AllOf(HasSubstr("module load gcc/12 || fail 'module load gcc/12 failed'\n"),
+                          HasSubstr("export NOTE='a b'\n"), HasSubstr("ulimit -c 0\n"),
+                          HasSubstr("apptainer exec weft.sif weft ablate 'it'\\''s here.yaml' --out"),
+                          HasSubstr(" --share; }")));
   EXPECT_THAT(submission.scripts.text(JobKind::merge), AllOf(Not(HasSubstr("--share")), Not(HasSubstr("--array"))));
   EXPECT_THAT(submission.scripts.text(JobKind::report),
               AllOf(HasSubstr("#SBATCH --time=10\n"), HasSubstr("weft status "), Not(HasSubstr("--signal"))));
@@ -119,22 +119,32 @@ TEST(JobScripts, RanksAreStartedBySrun) {
   work.files.result = folder / "model.h5";
   work.has_ranks = true;
   EXPECT_THAT(Submission(work, choice, "/opt/weft").scripts.text(JobKind::task),
-              AllOf(HasSubstr("#SBATCH --ntasks=4\n"), HasSubstr("exec srun /opt/weft train x.yaml; }")));
+              AllOf(HasSubstr("#SBATCH --ntasks=4\n"), HasSubstr("exec srun /opt/weft train x.yaml; }"),
+                    HasSubstr("export SRUN_CPUS_PER_TASK=${SLURM_CPUS_PER_TASK:-1}\n"),
+                    HasSubstr("scancel --quiet --signal=TERM \"$id\"")));
   work.has_ranks = false;
   EXPECT_THAT(Submission(work, choice, "/opt/weft").scripts.text(JobKind::task),
-              AllOf(HasSubstr("#SBATCH --ntasks=1\n"), HasSubstr("exec /opt/weft train x.yaml; }")));
+              AllOf(HasSubstr("#SBATCH --ntasks=1\n"), HasSubstr("exec /opt/weft train x.yaml; }"),
+                    Not(HasSubstr("SRUN_CPUS_PER_TASK"))));
 }
 
 /// Runs the script of a task in which weft is a shell script, and Slurm's commands write down how they were called.
 class TaskScript {
  public:
-  explicit TaskScript(const std::string& weft) {
+  explicit TaskScript(const std::string& weft, ClusterProfile profile = {}) {
     executable("bin/weft", weft);
     executable("bin/scontrol", "echo scontrol \"$@\" >>" + (folder_ / "calls").string() + "; exit 0\n");
     executable("bin/squeue", "echo ${STATE-RUNNING}\n");
-    executable("bin/scancel", "echo scancel \"$@\" >>" + (folder_ / "calls").string() + "\n");
+    // It signals the processes of a step, and not the script.
+    executable("bin/scancel", "echo scancel \"$@\" >>" + (folder_ / "calls").string() +
+                                  "\ncase \"$*\" in *--signal=TERM*) kill -TERM $(cat " +
+                                  (folder_ / "weft.pid").string() + ");; esac\n");
+    executable("bin/srun", "echo $$ >" + (folder_ / "weft.pid").string() +
+                               "\ntrap 'kill -KILL $child; exit 137' TERM\n\"$@\" & child=$!\necho $child >" +
+                               (folder_ / "weft.pid").string() + "\nwait $child\n");
     executable("bin/sleep", "exit 0\n");
     ClusterChoice choice;
+    choice.profile = std::move(profile);
     choice.profile.restarts = 2;
     const Submission submission(sweep_of(folder_ / "out", 4, 4), choice, (folder_ / "bin/weft").string());
     std::filesystem::create_directories(folder_ / "out/slurm/ablate/tasks");
@@ -189,6 +199,42 @@ TEST(TaskScript, PassesTheSignalOnAndGoesBackToTheQueue) {
   EXPECT_EQ(tired.run("SLURM_RESTART_COUNT=2").code, 1);
   EXPECT_THAT(tired.calls(), IsEmpty());
   EXPECT_THAT(tired.record(), HasSubstr("gave-up restarts=2"));
+}
+
+TEST(TaskScript, AsksTheProcessesOfSrunToEndAndDoesNotKillThem) {
+  ClusterProfile profile;
+  profile.launcher = "srun";
+  // PPID is srun, whose parent is the script.
+  const TaskScript stopped(
+      "trap 'echo stopping; exit 75' TERM\nkill -TERM $(ps -o ppid= -p $PPID)\nfor i in $(seq 500); do /bin/sleep 0.02; "
+      "done\n",
+      profile);
+  const auto outcome = stopped.run();
+  EXPECT_EQ(outcome.code, 75) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("stopping"));
+  EXPECT_THAT(stopped.calls(), HasSubstr("scancel --quiet --signal=TERM 12_3\nscontrol requeue 12_3\n"));
+  EXPECT_THAT(stopped.record(), HasSubstr("ended code=75 stops=1 node=n2\nrequeued node=n2\n"));
+}
+
+TEST(TaskScript, ModulesAndLinesOfTheProfile) {
+  ClusterProfile profile;
+  profile.setup = {"if [ -z \"$NEVER_SET\" ]; then export FOUND=it; fi"};  // as conda's scripts do
+  const TaskScript good("[ \"$FOUND\" = it ]\n", profile);
+  EXPECT_EQ(good.run().code, 0);
+  profile.modules = {"no-such-module/0"};
+  const TaskScript bad("exit 0\n", profile);
+  const auto outcome = bad.run();
+  EXPECT_EQ(outcome.code, 1);
+  EXPECT_THAT(outcome.output, HasSubstr("error: module load no-such-module/0 failed"));
+  EXPECT_THAT(bad.record(), HasSubstr("ended code=1 stops=0 node=n2\n"));
+}
+
+TEST(TaskScript, TheTemporaryFolderIsThatOfTheJob) {
+  const Folder scratch;
+  const TaskScript task("echo \"TMPDIR=$TMPDIR\"\n");
+  EXPECT_THAT(task.run("SLURM_TMPDIR='" + scratch.path().string() + "'").output,
+              HasSubstr("TMPDIR=" + scratch.path().string()));
+  EXPECT_THAT(task.run("SLURM_TMPDIR= TMPDIR=/not/there").output, HasSubstr("TMPDIR=/tmp"));
 }
 
 TEST(TaskScript, StartsWeftAgainWhenItWasKilled) {
@@ -270,6 +316,70 @@ TEST_F(JobStatesTest, SayWhichTaskFailedWhereAndWhy) {
                           "failed, or it was requeued"));
 }
 
+TEST_F(JobStatesTest, TasksWaitWhileSlurmDoesNotAnswer) {
+  record("12_1", "began restart=0 node=n1\n");
+  record("12_2", "began restart=0 node=n2\nended code=75 stops=1 node=n2\nrequeued node=n2\n");
+  record("12_3", "began restart=0 node=n2\nended code=1 stops=0 node=n2\n");
+  const auto states = job_states(submission_, std::nullopt);
+  EXPECT_EQ(progress_text(states), "0 of 8 cells; tasks: 1 running, 2 waiting, 1 failed; merge waiting");
+  EXPECT_THAT(states.troubles, ElementsAre(HasSubstr("task 3 failed on n2: weft ended with exit code 1")));
+  EXPECT_FALSE(states.is_over);
+}
+
+TEST_F(JobStatesTest, ACancelledMergeIsNotDone) {
+  cells(8);
+  submission_.is_cancelled = true;
+  for (const char* id : {"12_1", "12_2", "12_3", "12_4"})
+    record(id, "began restart=0 node=n1\nended code=0 stops=0 node=n1\n");
+  const auto states = job_states(submission_, parse_squeue("13|a-merge|CANCELLED||None\n"));
+  EXPECT_EQ(states.merge, "cancelled");
+  EXPECT_TRUE(states.is_over);
+  EXPECT_FALSE(states.is_done());
+}
+
+/// Work that is one unit, such as a fit: a job without a merge.
+class OneJob : public JobStatesTest {
+ protected:
+  OneJob() {
+    ClusterWork work;
+    work.command = "train";
+    work.label = "train-a,b|c";
+    work.results = folder_ / "fit";
+    work.files.result = folder_ / "fit/model.h5";
+    fit_ = Submission(work, ClusterChoice{}, "/opt/weft");
+    fit_.array = "12";
+    fit_.report = "13";
+  }
+  JobStates states_of(const std::string& text, const std::string& queue) const {
+    folder_.write("fit/slurm/train-a,b|c/tasks/12_1.txt", text);
+    return job_states(fit_, parse_squeue(queue));
+  }
+  Submission fit_;
+};
+
+TEST_F(OneJob, IsDoneWhenItEndedWellAndNotBecauseAModelIsThere) {
+  folder_.write("fit/model.h5", "as an evaluation of a fit leaves it, or an earlier fit");
+  EXPECT_FALSE(states_of("", "12_1|a|PENDING||Resources\n").is_done());
+  EXPECT_FALSE(states_of("began restart=0 node=n1\n", "12_1|a|RUNNING|n1|None\n").is_done());
+  fit_.is_cancelled = true;
+  const auto cancelled =
+      states_of("began restart=0 node=n1\nended code=75 stops=1 node=n1\n", "12_1|a|CANCELLED|n1|None\n");
+  EXPECT_TRUE(cancelled.is_over);
+  EXPECT_FALSE(cancelled.is_done());
+  EXPECT_THAT(status_text(fit_, cancelled), HasSubstr("it was cancelled; the same command goes on"));
+  fit_.is_cancelled = false;
+  EXPECT_TRUE(states_of("began restart=0 node=n1\nended code=0 stops=0 node=n1\n", "").is_done());
+  std::filesystem::remove(folder_ / "fit/model.h5");
+  EXPECT_FALSE(states_of("began restart=0 node=n1\nended code=0 stops=0 node=n1\n", "").is_done());
+}
+
+TEST_F(OneJob, HasANameThatSqueueCanBeAskedFor) {
+  EXPECT_THAT(fit_.names().front(), testing::MatchesRegex("weft-train-a_b_c-[0-9a-f]{8}"));
+  ClusterWork other = fit_.work;
+  other.label = "train-a_b_c";  // another model
+  EXPECT_NE(Submission(other, ClusterChoice{}, "/opt/weft").names(), fit_.names());
+}
+
 TEST_F(JobStatesTest, RememberWhatSlurmForgets) {
   keep_ended_jobs(submission_, parse_squeue("12_4|a|TIMEOUT|n4|TimeLimit\n"));
   EXPECT_FALSE(std::filesystem::exists(folder_ / "out"));  // without its folder there is nothing to write to
@@ -292,6 +402,38 @@ TEST_F(JobStatesTest, TasksThatWereNotNeededHaveNotFailed) {
   EXPECT_EQ(states.failed, 1);
   EXPECT_EQ(states.ended, 3);
   EXPECT_THAT(states.notes, ElementsAre("task 2 ended without a word on n2; the others did its work"));
+}
+
+TEST(Submission, HasOneNameByWhateverPath) {
+  const Folder folder;
+  std::filesystem::create_directories(folder / "real");
+  std::filesystem::create_directory_symlink(folder / "real", folder / "link");
+  const Submission one(sweep_of(folder / "real/out", 8, 8), ClusterChoice{}, "/opt/weft");
+  EXPECT_EQ(Submission(sweep_of(folder / "link/out", 8, 8), ClusterChoice{}, "/opt/weft").names(), one.names());
+  EXPECT_NE(Submission(sweep_of(folder / "real/other", 8, 8), ClusterChoice{}, "/opt/weft").names(), one.names());
+}
+
+TEST(Submission, AClaimThatADeadMachineLeftIsTakenOver) {
+  const Folder folder;
+  folder.write("claims/submit.claim", "weft-claim-1 another-boot n7 12345 token 4242 1 0000000001\n");
+  Claims::Options quick;
+  quick.dead_after_s = 0.5;
+  Claims claims(folder / "claims", quick);
+  claim_submission(claims, folder / "x", nullptr);
+  // A living process on another machine, which touches it.
+  Claims::Options elsewhere;
+  elsewhere.machine = "another-boot";
+  elsewhere.touch_every_s = 0.05;
+  const Folder busy;
+  Claims theirs(busy / "claims", elsewhere);
+  ASSERT_TRUE(theirs.take("submit"));
+  Claims ours(busy / "claims");
+  EXPECT_THAT(message_of<ConfigError>([&] { claim_submission(ours, busy / "x", nullptr); }),
+              HasSubstr("another weft is submitting"));
+  const std::atomic<bool> stop{true};
+  folder.write("old/submit.claim", "weft-claim-1 another-boot n7 12345 token 4242 1 0000000001\n");
+  Claims waiting(folder / "old");
+  EXPECT_THAT(message_of<Error>([&] { claim_submission(waiting, folder / "x", &stop); }), HasSubstr("stopped"));
 }
 
 TEST(Submission, IsReadAsItWasSaved) {

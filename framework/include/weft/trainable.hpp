@@ -31,6 +31,7 @@ struct FitOptions {
 struct TrainingCapabilities {
   bool ranks = false;          ///< several processes fit one model
   bool stored_shapes = false;  ///< reads shapes by Example::read_shapes(), so that they need not be in memory
+  std::int64_t parts = 0;      ///< parts of a batch, of which each rank takes the same number; 0: any number of ranks
 };
 
 /// State of a running fit, for progress lines.

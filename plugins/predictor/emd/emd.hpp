@@ -22,7 +22,9 @@ class EmdPredictor final : public Predictor, public TrainablePredictor {
                                       const PredictionRequest& request) const override;
   std::optional<Box> control_range() const override;
   TrainablePredictor* trainable() override { return this; }
-  TrainingCapabilities training_capabilities() const override { return {.ranks = true, .stored_shapes = true}; }
+  TrainingCapabilities training_capabilities() const override {
+    return {.ranks = true, .stored_shapes = true, .parts = params_.training.batch_parts()};
+  }
 
   FitReport fit(const Dataset& dataset, const Task& task, const FitOptions& options,
                 const FitObserver& observer) override;

@@ -84,6 +84,9 @@ struct Training {
   std::int64_t sigma_passes = 20;
   double sigma_tails = 0.1;
 
+  /// Parts of a batch whose gradients are computed one by one. Ranks divide them.
+  std::int64_t batch_parts() const { return std::min(optimiser == "signsgd" ? votes : parts, batch); }
+
   template <class Visitor>
   void visit(Visitor& v) {
     v("optimiser", optimiser, choice({"adam", "signsgd"}), "Adam(W) with cosine decay, or SignSGD with majority vote.");

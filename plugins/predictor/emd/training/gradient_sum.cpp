@@ -82,7 +82,7 @@ struct BitWire {
 
 std::size_t parts_of_batch(const Training& t, std::size_t ranks) {
   const bool votes = t.optimiser == "signsgd";
-  const auto parts = static_cast<std::size_t>(std::min(votes ? t.votes : t.parts, t.batch));
+  const auto parts = static_cast<std::size_t>(t.batch_parts());
   const std::string key = votes ? "training.votes" : "training.parts";
   if (parts % ranks != 0) {
     throw ConfigError("emd: " + key + " = " + std::to_string(parts) + ", must be a multiple of the number of ranks, " +

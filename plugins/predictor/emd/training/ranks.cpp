@@ -29,7 +29,8 @@ namespace fs = std::filesystem;
 using std::chrono::milliseconds;
 using SteadyClock = std::chrono::steady_clock;
 
-constexpr milliseconds kJoinTime = std::chrono::minutes(5), kAnswerTime = std::chrono::minutes(10);
+// A rank reads and hashes the data before it joins, and the file server of another node may be slow.
+constexpr milliseconds kJoinTime = std::chrono::minutes(30), kAnswerTime = std::chrono::minutes(10);
 constexpr const char* kLoopback = "127.0.0.1";
 
 std::string text_of(const in_addr& address) {
@@ -121,7 +122,7 @@ c10::intrusive_ptr<c10d::TCPStore> join_first(const FitRanks& options) {
       problem = message_of(error);
     }
   }
-  throw Error("ranks: rank " + std::to_string(options.rank) + " waited five minutes for rank 0, which writes " +
+  throw Error("ranks: rank " + std::to_string(options.rank) + " waited half an hour for rank 0, which writes " +
               options.meeting.string() + " where it is reached: " + problem);
 }
 

@@ -22,7 +22,7 @@ class RanksLost : public Error {
 class Ranks {
  public:
   /// Joins the others. One rank alone needs nobody. @throws Unsupported without Gloo; Error when the others do not come
-  /// within five minutes.
+  /// within half an hour.
   explicit Ranks(const FitRanks& options);
   ~Ranks();
   Ranks(const Ranks&) = delete;
