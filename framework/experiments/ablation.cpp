@@ -26,6 +26,7 @@ using nlohmann::ordered_json;
 struct Level {
   std::string name;
   std::vector<std::pair<std::string, ConfigNode>> changes;  // dotted keys
+  ConfigNode base = {};                                     // of the factor `task`: what the changes begin from
 };
 struct Factor {
   std::string name;
@@ -108,13 +109,22 @@ std::vector<std::uint64_t> read_seeds(const ConfigNode& node, const std::uint64_
   return seeds;
 }
 
-/// Index of a level in each factor; -1: the arm's own level.
-std::vector<int> read_baseline(const ConfigNode& node, const std::vector<Factor>& factors) {
-  std::vector<int> levels(factors.size(), -1);
-  if (node.is_null()) {
-    levels[0] = 0;
-    return levels;
+/// The factor `task`, whose levels are session configs.
+Factor read_tasks(const ConfigNode& node) {
+  Factor factor{"task", {}};
+  if (!node.is_sequence() || node.size() == 0) node.fail("must be a list of session configs, and not empty");
+  for (std::size_t i = 0; i < node.size(); ++i) {
+    const std::filesystem::path file = node[i].as_path();
+    for (const auto& level : factor.levels)
+      if (level.name == file.stem()) node[i].fail("is the second task called '" + level.name + "'");
+    factor.levels.push_back({file.stem().string(), {}, ConfigNode::load(file).without("seed")});
   }
+  return factor;
+}
+
+/// Index of a level in each factor; -1: the arm's own level.
+std::vector<int> read_levels(const ConfigNode& node, const std::vector<Factor>& factors) {
+  std::vector<int> levels(factors.size(), -1);
   const auto find = [](const ConfigNode& from, const Factor& factor) {
     std::vector<std::string> names;
     for (const auto& level : factor.levels) names.push_back(level.name);
@@ -124,9 +134,12 @@ std::vector<int> read_baseline(const ConfigNode& node, const std::vector<Factor>
       from.fail("= " + wanted + " is not a level of " + factor.name + nearest_hint(wanted, names));
     return static_cast<int>(found - names.begin());
   };
+  if (node.is_null()) return levels;
   if (node.is_scalar()) {
-    if (factors.size() > 1) node.fail("must say {factor: level}, since there are several factors");
-    levels[0] = find(node, factors[0]);
+    // With `tasks` a single other factor is the one that is meant.
+    const std::size_t own = factors.front().levels.front().base.is_null() ? 0 : 1;
+    if (factors.size() > own + 1) node.fail("must say {factor: level}, since there are several factors");
+    levels[own] = find(node, factors[own]);
     return levels;
   }
   std::vector<std::string> names;
@@ -153,12 +166,13 @@ struct Table {
 
 struct Comparison {
   BootstrapStatistics own, difference;
+  MedianComparison medians;  ///< over the seeds that the arm, its baseline and its target completed
   std::size_t unpaired = 0;  ///< seeds that both arms completed with different cases
 };
 
 Comparison compare(const AblationPlan& plan, const Table& table, std::size_t arm, const std::string& metric) {
   Comparison result;
-  std::vector<double> own, difference;
+  std::vector<double> own, difference, paired, baseline, target;
   for (const std::uint64_t seed : plan.seeds) {
     const SweepRow* here = table.find(arm, seed);
     if (here == nullptr) continue;
@@ -171,9 +185,18 @@ Comparison compare(const AblationPlan& plan, const Table& table, std::size_t arm
       continue;
     }
     const double change = value - there->metric(metric);
-    if (std::isfinite(change)) difference.push_back(change);
+    if (!std::isfinite(change)) continue;
+    difference.push_back(change);
+    const SweepRow* reached = plan.target.empty() ? there : table.find(plan.target[arm], seed);
+    if (reached == nullptr || reached->outcome.paired_by != here->outcome.paired_by ||
+        !std::isfinite(reached->metric(metric)))
+      continue;
+    paired.push_back(value);
+    baseline.push_back(there->metric(metric));
+    if (!plan.target.empty()) target.push_back(reached->metric(metric));
   }
   const std::uint64_t key = fnv1a(metric);
+  if (plan.baseline[arm] != arm) result.medians = compare_medians(paired, baseline, target, plan.resamples, key + 2);
   result.own = bootstrap_statistics(own, plan.resamples, key);
   result.difference = bootstrap_statistics(difference, plan.resamples, key + 1);
   return result;
@@ -186,6 +209,19 @@ ordered_json statistics_json(const BootstrapStatistics& s) {
           {"sd", json_number(s.sd)},
           {"mean_95", {json_number(s.mean_interval.first), json_number(s.mean_interval.second)}},
           {"median_95", {json_number(s.median_interval.first), json_number(s.median_interval.second)}}};
+}
+
+ordered_json medians_json(const MedianComparison& c, bool has_target) {
+  const auto interval = [](const std::pair<double, double>& ends) {
+    return ordered_json{json_number(ends.first), json_number(ends.second)};
+  };
+  ordered_json json{
+      {"n", c.n}, {"baseline_over_own", json_number(c.ratio)}, {"baseline_over_own_95", interval(c.ratio_interval)}};
+  if (has_target) {
+    json["gap_closed"] = json_number(c.gap_closed);
+    json["gap_closed_95"] = interval(c.gap_interval);
+  }
+  return json;
 }
 
 std::vector<std::string> physics_case_names(const ConfigNode& config) {
@@ -202,16 +238,25 @@ std::vector<std::string> physics_case_names(const ConfigNode& config) {
 AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_seed) {
   AblationParams params;
   read_params(config, params);
-  if (params.task.empty()) config.fail("task is missing; name the session config that the arms start from");
+  const bool has_tasks = !params.tasks.is_null();
+  if (params.task.empty() && !has_tasks)
+    config.fail("task is missing; name the session config that the arms start from");
+  if (!params.task.empty() && has_tasks) params.tasks.fail("must be left out with `task`, whose place it takes");
   if (params.factors.is_null()) config.fail("factors is missing");
   const bool physics = params.measure == "physics";
   if (!physics && params.seeds.is_null()) config.fail("seeds is missing; such as {first: 1, count: 10}");
   if (physics && (!params.seeds.is_null() || first_seed != nullptr))
     config.fail("has seeds, but measure: physics runs the cases of the suite; physics.folds.first_seed is the folds'");
-  ConfigNode base = ConfigNode::load(params.task).without("seed");
-  for (const auto& [key, value] : read_changes(params.set)) base = base.with(key, value);
-  const auto factors = read_factors(params.factors);
-  const auto baseline = read_baseline(params.baseline, factors);
+  auto factors = read_factors(params.factors);
+  for (const auto& factor : factors)
+    if (factor.name == "task" && has_tasks)
+      params.factors.fail("must not name a factor 'task', since there are `tasks`");
+  if (has_tasks) factors.insert(factors.begin(), read_tasks(params.tasks));
+  const ConfigNode base = has_tasks ? ConfigNode() : ConfigNode::load(params.task).without("seed");
+  const Changes set = read_changes(params.set);
+  std::vector<int> baseline = read_levels(params.baseline, factors);
+  if (params.baseline.is_null()) baseline[has_tasks ? 1 : 0] = 0;
+  const std::vector<int> target = read_levels(params.target, factors);
 
   AblationPlan plan;
   plan.description = params.description;
@@ -226,8 +271,10 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
   }
   for (std::size_t a = 0; a < count; ++a) {
     SweepArm arm;
-    arm.config = base;
+    arm.config = has_tasks ? factors.front().levels[a / (count / factors.front().levels.size())].base : base;
+    for (const auto& [key, value] : set) arm.config = arm.config.with(key, value);
     plan.baseline.push_back(0);
+    plan.target.push_back(0);
     // The last factor varies fastest.
     std::size_t rest = a, stride = count;
     for (std::size_t f = 0; f < factors.size(); ++f) {
@@ -238,6 +285,7 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
       arm.name += (f > 0 ? ", " : "") + factors[f].levels[level].name;
       for (const auto& [key, value] : factors[f].levels[level].changes) arm.config = arm.config.with(key, value);
       plan.baseline[a] += stride * (baseline[f] >= 0 ? static_cast<std::size_t>(baseline[f]) : level);
+      plan.target[a] += stride * (target[f] >= 0 ? static_cast<std::size_t>(target[f]) : level);
     }
     if (arm.config.has("seed")) config.fail("sets `seed` of the sessions; `seeds` does that");
     // Refuses wrong keys of a session before any work.
@@ -251,6 +299,7 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
     }
     plan.arms.push_back(std::move(arm));
   }
+  if (params.target.is_null()) plan.target.clear();
   for (std::size_t i = 0; i < plan.cases.size(); ++i) plan.seeds.push_back(i);
   return plan;
 }
@@ -278,7 +327,10 @@ ordered_json statistics_of(const AblationPlan& plan, const Table& table, std::si
   for (const auto& name : names) {
     const Comparison c = compare(plan, table, arm, name);
     ordered_json one = statistics_json(c.own);
-    if (plan.baseline[arm] != arm) one["difference"] = statistics_json(c.difference);
+    if (plan.baseline[arm] != arm) {
+      one["difference"] = statistics_json(c.difference);
+      one["medians"] = medians_json(c.medians, !plan.target.empty());
+    }
     unpaired = c.unpaired;
     metrics[name] = one;
   }
@@ -318,6 +370,7 @@ std::string ablation_json(const AblationPlan& plan, const std::vector<SweepRow>&
   const Table table(rows);
   ordered_json json{{"description", plan.description}, {"factors", plan.factors}, {"seeds", plan.seeds}};
   if (!plan.cases.empty()) json["cases"] = plan.cases;
+  if (!plan.target.empty()) json["has_target"] = true;
   json["complete"] = rows.size() == plan.cells();
   json["arms"] = ordered_json::array();
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
@@ -361,20 +414,26 @@ std::string ablation_table(const AblationPlan& plan, const std::vector<SweepRow>
   const auto line = [&](const std::string& name, const std::string& rest) {
     return name + std::string(width - std::min(width, name.size()), ' ') + rest + "\n";
   };
-  std::string text =
-      metric + "\n" +
-      line("", "   n  failed    median      mean                  95 %  difference                    95 %");
+  std::string head = "   n  failed    median      mean                  95 %  difference                    95 %";
+  if (!plan.target.empty()) head += "   base/own              95 %   gap closed";
+  std::string text = metric + "\n" + line("", head);
   for (std::size_t a = 0; a < plan.arms.size(); ++a) {
     const Comparison c = compare(plan, table, a, metric);
     std::size_t failed = 0;
     for (const auto& row : rows) failed += row.arm == a && !row.failure.empty();
-    char numbers[200];
+    char numbers[300];
     int used = std::snprintf(numbers, sizeof numbers, "%4zu  %6zu  %8.4g  %8.4g  [%8.4g, %8.4g]", c.own.n, failed,
                              c.own.median, c.own.mean, c.own.mean_interval.first, c.own.mean_interval.second);
     if (plan.baseline[a] != a)
-      std::snprintf(numbers + used, sizeof numbers - static_cast<std::size_t>(used), "  %+9.4g  [%+9.4g, %+9.4g]%s",
-                    c.difference.mean, c.difference.mean_interval.first, c.difference.mean_interval.second,
-                    c.unpaired > 0 ? "  NOT ALL PAIRED" : "");
+      used +=
+          std::snprintf(numbers + used, sizeof numbers - static_cast<std::size_t>(used), "  %+9.4g  [%+9.4g, %+9.4g]",
+                        c.difference.mean, c.difference.mean_interval.first, c.difference.mean_interval.second);
+    if (plan.baseline[a] != a && !plan.target.empty())
+      used += std::snprintf(numbers + used, sizeof numbers - static_cast<std::size_t>(used),
+                            "   %8.3g  [%6.3g, %6.3g]      %5.0f %%", c.medians.ratio, c.medians.ratio_interval.first,
+                            c.medians.ratio_interval.second, 100.0 * c.medians.gap_closed);
+    if (c.unpaired > 0)
+      std::snprintf(numbers + used, sizeof numbers - static_cast<std::size_t>(used), "  NOT ALL PAIRED");
     text += line(plan.arms[a].name, numbers);
   }
   return text;

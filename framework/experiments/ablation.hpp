@@ -15,7 +15,7 @@ namespace weft {
 struct AblationParams {
   std::string description, measure = "session";
   std::filesystem::path task;
-  ConfigNode set, factors, baseline, seeds;
+  ConfigNode tasks, set, factors, baseline, target, seeds;
   std::int64_t resamples = 10000;
 
   template <class Visitor>
@@ -25,6 +25,9 @@ struct AblationParams {
       "A cell runs a whole session (session), or a case of the physics suite in the arm's simulator (physics; paired "
       "folds are compared with `other`).");
     v("task", task, "Session config or physics experiment of every arm.");
+    v("tasks", tasks,
+      "In place of `task`: a list of such files. They are the levels of a first factor, `task`, by the names of the files "
+      "without their ending.");
     v("set", set, "Keys of the session config, dotted or nested, that every arm changes: {planning.iterations: 80}.");
     v("factors", factors,
       "The factors by name. A list holds values of the session key with the factor's name. A mapping holds levels by "
@@ -32,6 +35,9 @@ struct AblationParams {
     v("baseline", baseline,
       "{factor: level}: each arm is compared with the arm that has these levels and otherwise its own; default: the "
       "first level of the first factor.");
+    v("target", target,
+      "Such a {factor: level} too: of the gap between the medians of the baseline and of the arm with these levels, each arm "
+      "says what share it closes; default: no gap is measured.");
     v("seeds", seeds, "A list, or {first: 1, count: 10}. Not for measure: physics, whose cases count from 0.",
       Decides::nothing);
     v("resamples", resamples, range(100, 1e6), "Number of bootstrap resamples.", Decides::nothing);
@@ -41,6 +47,7 @@ struct AblationParams {
 struct AblationPlan : SweepPlan {
   std::string measure;                ///< of AblationParams
   std::vector<std::size_t> baseline;  ///< [arms]: the baseline of each arm; a baseline is its own
+  std::vector<std::size_t> target;    ///< [arms]: the arm to which each arm's gap is measured; empty: none
   std::vector<std::string> cases;     ///< [seeds]: names; empty: seeds have no names
   std::int64_t resamples = 10000;     ///< of the bootstrap
 };
@@ -52,8 +59,9 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
 
 /// One line per row: factors, seed, status, metrics, failure, the identity that it belongs to.
 std::string ablation_csv(const AblationPlan& plan, const std::vector<SweepRow>& rows);
-/// Statistics per arm and metric, and of the paired differences to the baseline over the seeds that both completed. Arms
-/// with rows that belong to another identity say so under `mixed`.
+/// Statistics per arm and metric, and of the paired differences to the baseline over the seeds that both completed, with
+/// the ratio of their medians and the share of the gap to the target (MedianComparison). Arms with rows that belong to
+/// another identity say so under `mixed`.
 std::string ablation_json(const AblationPlan& plan, const std::vector<SweepRow>& rows);
 /// The same of what a clock measured: the times of ablation.json, and one line per row.
 std::string ablation_times_json(const AblationPlan& plan, const std::vector<SweepRow>& rows);

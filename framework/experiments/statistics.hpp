@@ -27,4 +27,16 @@ struct BootstrapStatistics : Spread {
 /// @param key of the bootstrap's random stream. The same values and key give the same bits.
 BootstrapStatistics bootstrap_statistics(const std::vector<double>& values, std::int64_t resamples, std::uint64_t key);
 
+/// Medians of the same cases under three settings, with 95 % intervals by the percentile bootstrap over the cases. NaN:
+/// too few cases, or a divisor of 0.
+struct MedianComparison {
+  std::size_t n = 0;
+  double ratio = kNaN;       ///< median of the baseline over the own median
+  double gap_closed = kNaN;  ///< (baseline - own) / (baseline - target), of the medians
+  std::pair<double, double> ratio_interval{kNaN, kNaN}, gap_interval{kNaN, kNaN};
+};
+/// @param own, baseline, target [n], case by case. An empty target: no gap.
+MedianComparison compare_medians(const std::vector<double>& own, const std::vector<double>& baseline,
+                                 const std::vector<double>& target, std::int64_t resamples, std::uint64_t key);
+
 }  // namespace weft

@@ -69,6 +69,7 @@ void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
     for (const auto& [name, ignored] : arm.at("metrics").items())
       if (std::find(metrics.begin(), metrics.end(), name) == metrics.end()) metrics.push_back(name);
   const auto factors = json.at("factors").get<std::vector<std::string>>();
+  const bool has_target = json.value("has_target", false);
   for (const auto& metric : metrics) {
     PaperTable table;
     table.label = "ablation-" + metric;
@@ -81,6 +82,11 @@ void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
     for (const char* name : {"n", "failed", "mean", "95 %", "median", "95 %", "difference", "95 %"})
       table.head.emplace_back(name);
     const int digits = digits_for(json["arms"], metric);
+    if (has_target) {
+      table.caption +=
+          "; how many times smaller the median is than the baseline's, and the share of the gap to the target";
+      for (const char* name : {"baseline / own", "95 %", "gap closed"}) table.head.emplace_back(name);
+    }
     for (const auto& arm : json["arms"]) {
       std::vector<std::string> row;
       for (const auto& factor : factors) row.push_back(arm.at("levels").at(factor).get<std::string>());
@@ -94,6 +100,13 @@ void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
       row.push_back(interval_text(own, "median_95", digits));
       row.push_back(fixed_text(difference, "mean", digits));
       row.push_back(interval_text(difference, "mean_95", digits));
+      if (has_target) {
+        const ordered_json medians = own.value("medians", ordered_json::object());
+        for (const auto& cell :
+             {fixed_text(medians, "baseline_over_own", 2), interval_text(medians, "baseline_over_own_95", 2),
+              fixed_text(medians, "gap_closed", 2)})
+          row.push_back(cell);
+      }
       table.rows.push_back(std::move(row));
     }
     tables.push_back(std::move(table));

@@ -16,6 +16,7 @@ namespace weft {
 struct PlannerParams {
   std::int64_t instances = 16;
   std::int64_t iterations = 80;
+  bool replan = true;
   std::int64_t replan_iterations = 30;
   std::int64_t horizon = 25;
   std::int64_t leeway = 5;
@@ -35,6 +36,7 @@ struct PlannerParams {
   void visit(Visitor& v) {
     v("instances", instances, range(1, 4096), "Parallel searches; the one with the lowest residual loss wins.");
     v("iterations", iterations, range(0, 100000), "Optimiser iterations of the first plan.");
+    v("replan", replan, "false: the first plan is executed to its end, whatever is observed (open loop).");
     v("replan_iterations", replan_iterations, range(0, 100000), "Optimiser iterations of every later plan.");
     v("horizon", horizon, range(1, 200, "segments"),
       "b of the first plan. For every plan b is at most the predictor's limit (Predictor::max_segments).");

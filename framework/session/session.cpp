@@ -27,6 +27,14 @@ std::uint64_t hash_of(const Positions& shape) {
   return hash.value();
 }
 
+/// Index of a property. @param origin where it is named. @throws ConfigError for another name.
+Index property_of(const std::string& name, const ConfigNode& origin) {
+  const std::vector<std::string> names(std::begin(kPropertyNames), std::end(kPropertyNames));
+  const auto found = std::find(names.begin(), names.end(), name);
+  if (found == names.end()) must_be(origin, one_of(names) + ", not '" + name + "'" + nearest_hint(name, names));
+  return found - names.begin();
+}
+
 /// Frames of a session that was observed only at the ends of segments: each holds the observation before it.
 std::vector<std::vector<float>> held_frames(const SessionResult& result) {
   std::vector<std::vector<float>> frames{to_frame(result.start)};
@@ -109,6 +117,11 @@ MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode&
       knowledge.centre(p) = std::clamp((*true_material)(p) + offset, 0.0, 1.0);
     }
   }
+  for (const auto& name : params.unknown) {
+    const Index p = property_of(name, place(origin, "unknown"));
+    knowledge.centre(p) = MaterialKnowledge::none().centre(p);
+    knowledge.width(p) = MaterialKnowledge::none().width(p);
+  }
   return knowledge;
 }
 
@@ -126,8 +139,13 @@ void check_session(const SessionParams& params, const ConfigNode& origin, const 
     must_be(place(origin, params.world.spread > 0.0 ? "world.spread" : "world.simulator"),
             "left out with environment.command: the process is the world");
   }
-  if (params.trials > 1 && params.correction.simulations == 0)
-    must_be(place(origin, "trials"), "1 without correction.simulations: nothing would be learned");
+  if (!params.unknown.empty() && (params.knowledge == "none" || params.knowledge == "estimate"))
+    must_be(place(origin, "unknown"),
+            "left out with knowledge: " + params.knowledge + ", which knows nothing at first");
+  for (const auto& name : params.unknown) property_of(name, place(origin, "unknown"));
+  if (params.trials > 1 && params.correction.simulations == 0 && params.knowledge != "estimate")
+    must_be(place(origin, "trials"),
+            "1 without correction.simulations and without knowledge: estimate: nothing would be learned");
   if (params.trials > 1 && (params.correction.time_budget_s > 0.0 || params.planning.time_budget_s > 0.0))
     must_be(place(origin, "trials"),
             "1 with a time budget: the session records what the clock decided in its last trial only");
@@ -283,6 +301,11 @@ class SessionRun {
   SessionRound planned(Index number) {
     SessionRound round;
     round.state = state_;
+    if (!params_.planning.replan && number > 0 && result_.rounds.back().plan.controls.rows() > 1) {
+      round.plan = rest_of(result_.rounds.back().plan);
+      round.knowledge = result_.rounds.back().knowledge;
+      return round;
+    }
     PlanRequest request{.shape = current_,
                         .previous = previous_,
                         .state = state_,

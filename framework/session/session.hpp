@@ -33,6 +33,7 @@ struct SessionParams {
   std::vector<double> true_material;
   std::string knowledge = "true";
   std::vector<double> given_centre, given_width;
+  std::vector<std::string> unknown;
   double drawn_width = 0.1;
   std::int64_t knowledge_lag = 1;
   std::int64_t max_segments = 40;
@@ -67,6 +68,9 @@ struct SessionParams {
       "Knowledge of the material for the plans; estimate: estimated from the session so far.");
     v("given_centre", given_centre, range(0, 1), "knowledge: given: c.", property_list());
     v("given_width", given_width, range(0, 1), "knowledge: given: w.", property_list());
+    v("unknown", unknown,
+      "Properties of which the plans know nothing, such as [bend], while `knowledge` holds for the others. Not for "
+      "knowledge none and estimate.");
     v("drawn_width", drawn_width, range(0, 1),
       "knowledge: drawn: w of all properties; c is drawn uniformly from [q - w/2, q + w/2] (section 4).");
     v("knowledge_lag", knowledge_lag, range(0, 1000, "segments"),
@@ -74,7 +78,8 @@ struct SessionParams {
       "in parallel to planning and execution; 0 waits for it.");
     v("trials", trials, range(1, 1000),
       "Times that the same cloth is folded, flat at the beginning of each. With corrections a trial begins with the plan of the "
-      "one before, and corrects it by what then happened, not only by the simulation. Results are those of the last one.");
+      "one before, and corrects it by what then happened, not only by the simulation. With knowledge: estimate it begins "
+      "with the estimate of the one before. Results are those of the last one.");
     v("manipulations", manipulations,
       "Folds that follow one another: a list of mappings with the keys in which each differs from the session: manipulation, "
       "trajectory, goal, planning, correction, max_segments.");

@@ -35,6 +35,67 @@ TEST_F(Session, SameSeedSameBitsWhateverTheNumberOfThreads) {
   }
 }
 
+TEST_F(Session, WithoutReplansTheFirstPlanIsExecutedToItsEnd) {
+  // Another fabric than the planner believes in, so that a re-plan would change the plan.
+  const std::vector<std::string> mistaken = {"knowledge=given", "given_centre=[0.9, 0.1, 0.5, 0.5]",
+                                             "given_width=[0, 0, 0, 0]", "true_material=[0.2, 0.9, 0.4, 0.6]"};
+  auto open = mistaken;
+  open.push_back("planning.replan=false");
+  for (const bool is_corrected : {false, true}) {
+    auto settings = open;
+    if (is_corrected) settings.push_back("correction={simulations: 3, later_simulations: 2}");
+    const SessionResult result = run(settings);
+    EXPECT_TRUE(result.released);
+    EXPECT_EQ(result.rounds.front().correction.has_value(), is_corrected);
+    const Controls& first = result.rounds.front().plan.controls;
+    ASSERT_EQ(first.rows(), static_cast<Index>(result.rounds.size()));
+    for (Index j = 1; j < first.rows(); ++j) {
+      EXPECT_EQ(result.rounds[j].plan.controls, first.bottomRows(first.rows() - j)) << j;
+      EXPECT_FALSE(result.rounds[j].correction) << j;
+    }
+  }
+  const SessionResult closed = run(mistaken);
+  EXPECT_NE(closed.rounds.back().plan.controls, run(open).rounds.back().plan.controls);
+}
+
+TEST_F(Session, WithoutReplansAPlanThatEndsBeforeItReleasesIsFollowedByAnother) {
+  const SessionResult result = run({"planning.replan=false", "planning.horizon=3", "planning.leeway=3"});
+  EXPECT_GT(result.rounds.size(), 3u);
+}
+
+TEST_F(Session, PropertiesCanBeUnknownOneByOne) {
+  const std::vector<std::string> quick = {"planning.iterations=0", "planning.replan_iterations=0",
+                                          "planning.instances=1", "true_material=[0.2, 0.9, 0.4, 0.6]"};
+  const auto knowledge = [&](const std::string& more) {
+    auto all = quick;
+    all.push_back(more);
+    return run(all).rounds.front().knowledge;
+  };
+  const MaterialKnowledge some = knowledge("unknown=[bend, thickness]");
+  EXPECT_EQ(some.centre, (PropertyVector() << 0.2, 0.5, 0.4, 0.5).finished());
+  EXPECT_EQ(some.width, (PropertyVector() << 0, 1, 0, 1).finished());
+  EXPECT_EQ(knowledge("unknown=[]").width, PropertyVector::Zero());
+  EXPECT_THAT(test::message_of<ConfigError>([&] { run({"unknown=[bending]"}); }),
+              testing::AllOf(testing::HasSubstr("unknown"), testing::HasSubstr("nearest: bend")));
+  EXPECT_THAT(test::message_of<ConfigError>([&] {
+                run({"unknown=[bend]", "knowledge=none"});
+              }),
+              testing::HasSubstr("left out with knowledge: none"));
+}
+
+TEST_F(Session, ASecondTrialBeginsWithTheEstimateOfTheFirst) {
+  const std::vector<std::string> settings = {"knowledge=estimate", "planning.replan=false", "estimation.instances=1",
+                                             "estimation.iterations=3"};
+  auto two = settings;
+  two.push_back("trials=2");
+  const SessionResult first = run(settings), second = run(two);
+  EXPECT_EQ(first.rounds.front().knowledge.width, MaterialKnowledge::none().width);
+  EXPECT_EQ(second.rounds.front().knowledge.centre, first.estimates.back().knowledge.centre);
+  EXPECT_EQ(second.rounds.front().knowledge.width, first.estimates.back().knowledge.width);
+  ASSERT_EQ(second.trials.size(), 2u);
+  EXPECT_EQ(second.trials.front().error_mm, first.error_mm);
+}
+
 TEST_F(Session, AnotherSeedIsAnotherGoalAndAnotherFabric) {
   const SessionResult a = run({"planning.iterations=0", "planning.replan_iterations=0"});
   const SessionResult b = run({"planning.iterations=0", "planning.replan_iterations=0", "seed=5"});

@@ -68,6 +68,39 @@ TEST(AblationPlan, EachArmIsComparedWithItsLikeAtTheBaselinesLevels) {
   EXPECT_EQ(silent.baseline[1], 0u);
 }
 
+TEST(AblationPlan, TasksAreAFactorWhoseLevelsAreFiles) {
+  const Files files;
+  files.folder.write("other.yaml", std::string(kTask) + "max_segments: 7\n");
+  const auto plan = [&](const std::string& rest) {
+    return read_ablation(ConfigNode::load(
+        files.folder.write("tasks.yaml", "tasks: [task.yaml, other.yaml]\nset: {planning.noise: 0.5}\n" + rest)));
+  };
+  const std::string levels = "factors: {knowledge: [\"none\", \"drawn\", \"true\"]}\nseeds: [1]\n";
+  const auto both = plan(levels + "baseline: \"none\"\ntarget: {knowledge: \"true\"}\n");
+  EXPECT_EQ(both.factors, (std::vector<std::string>{"task", "knowledge"}));
+  ASSERT_EQ(both.arms.size(), 6u);
+  EXPECT_EQ(both.arms[4].name, "other, drawn");
+  EXPECT_EQ(both.arms[4].config.at("max_segments").as_int(), 7);
+  EXPECT_FALSE(both.arms[1].config.has("max_segments"));
+  for (const auto& arm : both.arms) EXPECT_EQ(arm.config.at("planning").at("noise").as_double(), 0.5);
+  EXPECT_EQ(both.baseline, (std::vector<std::size_t>{0, 0, 0, 3, 3, 3}));
+  EXPECT_EQ(both.target, (std::vector<std::size_t>{2, 2, 2, 5, 5, 5}));
+  // The first level of the first factor of the settings, not the first task.
+  EXPECT_EQ(plan(levels).baseline, both.baseline);
+  EXPECT_TRUE(plan(levels).target.empty());
+
+  using testing::HasSubstr;
+  const auto refusal = [&](const std::string& rest) { return message_of<ConfigError>([&] { plan(rest); }); };
+  EXPECT_THAT(refusal(levels + "task: task.yaml\n"), HasSubstr("left out with `task`"));
+  EXPECT_THAT(refusal("factors: {task: [a]}\nseeds: [1]\n"), HasSubstr("must not name a factor 'task'"));
+  EXPECT_THAT(refusal(levels + "target: {knowledge: all}\n"), HasSubstr("is not a level of knowledge"));
+  EXPECT_THAT(
+      message_of<ConfigError>([&] {
+        read_ablation(ConfigNode::load(files.folder.write("twice.yaml", "tasks: [task.yaml, ./task.yaml]\n" + levels)));
+      }),
+      HasSubstr("the second task called 'task'"));
+}
+
 TEST(AblationPlan, NestedKeysChangeOnlyWhatTheyNameAndPluginsAreReplacedWhole) {
   const auto plan = Files().plan(
       "set: {planning.noise: 0.5, planning: {noise: 0.25}, optimiser: {plugin: mppi, params: {samples: 8}}}\n"
@@ -190,6 +223,35 @@ TEST(Ablation, DifferencesArePaired) {
   EXPECT_TRUE(json["arms"][0]["baseline"].is_null());
   EXPECT_FALSE(json["arms"][0]["metrics"]["error_mm"].contains("difference"));
   EXPECT_EQ(json["complete"], true);
+}
+
+TEST(Ablation, MediansAreComparedWithBaselineAndTarget) {
+  const auto plan =
+      Files().plan("factors: {planning.instances: [1, 2, 4]}\nbaseline: 1\ntarget: 4\nseeds: {first: 1, count: 5}\n");
+  std::vector<SweepRow> rows;
+  for (const auto seed : plan.seeds)
+    for (std::size_t a = 0; a < 3; ++a) {
+      SweepRow row{a, seed, "", {}};
+      const double base = 10.0 + static_cast<double>(seed);
+      row.outcome.metrics = {{"error_mm", a == 0 ? 4.0 * base : a == 1 ? 1.75 * base : base}};
+      rows.push_back(row);
+    }
+  row_of(rows, 2, 1).failure = "the target of seed 1 is missing";
+  const auto json = nlohmann::json::parse(ablation_json(plan, rows));
+  EXPECT_FALSE(json["arms"][0]["metrics"]["error_mm"].contains("medians"));
+  const auto& medians = json["arms"][1]["metrics"]["error_mm"]["medians"];
+  EXPECT_EQ(medians["n"], 4);
+  EXPECT_NEAR(medians["baseline_over_own"], 4.0 / 1.75, 1e-12);
+  EXPECT_NEAR(medians["gap_closed"], 2.25 / 3.0, 1e-12);
+  EXPECT_NEAR(medians["baseline_over_own_95"][0], 4.0 / 1.75, 1e-12);  // paired, so every sample has this ratio
+  EXPECT_NEAR(medians["gap_closed_95"][1], 2.25 / 3.0, 1e-12);
+  EXPECT_NEAR(json["arms"][2]["metrics"]["error_mm"]["medians"]["gap_closed"], 1.0, 1e-12);
+  EXPECT_THAT(ablation_table(plan, rows, "error_mm"),
+              testing::AllOf(testing::HasSubstr("2.29"), testing::HasSubstr("75 %")));
+  const auto without = Files().plan("factors: {planning.instances: [1, 2, 4]}\nseeds: {first: 1, count: 5}\n");
+  const auto plain = nlohmann::json::parse(ablation_json(without, rows));
+  EXPECT_FALSE(plain["arms"][1]["metrics"]["error_mm"]["medians"].contains("gap_closed"));
+  EXPECT_EQ(plain["arms"][1]["metrics"]["error_mm"]["medians"]["n"], 5);
 }
 
 TEST(Ablation, CasesThatAreNotTheSameAreNotCompared) {

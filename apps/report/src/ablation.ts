@@ -1,8 +1,8 @@
 // The page of `weft ablate`: arms as rows, sortable; factors as colours; means with intervals; paired differences.
 import { chart } from './charts';
-import type { Arm, PageData, Statistics } from './data';
+import type { Arm, Medians, PageData, Statistics } from './data';
 import { fixed, h, section } from './dom';
-import { intervalOptions, nameOf, unitOf, type Interval } from './figures';
+import { intervalOptions, ratioOptions, nameOf, unitOf, type Interval } from './figures';
 import { provenanceDetails, title } from './frame';
 import { sortableTable, type Column } from './table';
 
@@ -14,7 +14,8 @@ const kShownFirst = ['error_mm', 'silhouette_iou', 'success_10mm', 'first_plan_l
 const heading = (metric: string) => `${nameOf(metric)}${unitOf(metric) ? `, ${unitOf(metric)}` : ''}`;
 
 export function ablationPage(page: PageData): HTMLElement {
-  const { arms, factors, seeds, cases, complete, description } = page.ablation!;
+  // Only an ablation with a target says what share of a gap its arms close.
+  const { arms, factors, seeds, cases, complete, description, has_target: hasTarget = false } = page.ablation!;
   const cellName = (seed: number) => cases?.[seed] ?? `seed ${seed}`;
   const metrics = [...new Set(arms.flatMap((arm) => Object.keys(arm.metrics)))];
   const levels = new Map(factors.map((factor) => [factor, [...new Set(arms.map((arm) => arm.levels[factor]))]]));
@@ -41,6 +42,13 @@ export function ablationPage(page: PageData): HTMLElement {
     return `${sign && value.mean > 0 ? '+' : ''}${fixed(value.mean, places)}${interval}`;
   };
 
+  const ratioText = (medians: Medians | undefined) => {
+    if (!medians || medians.baseline_over_own === null) return '';
+    const [low, high] = medians.baseline_over_own_95;
+    return `${fixed(medians.baseline_over_own, 2)}${low !== null && high !== null ? ` [${fixed(low, 2)}, ${fixed(high, 2)}]` : ''}`;
+  };
+  const share = (part: number | null | undefined) => (part === null || part === undefined ? '' : `${fixed(100 * part, 0)} %`);
+
   type MetricColumn = Column<Arm> & { metric?: string; extra?: boolean };
   const columns: MetricColumn[] = [
     { id: 'name', head: 'Arm', value: (arm) => arm.name, cell: (arm) => (isBaseline(arm) ? `${arm.name} (baseline)` : arm.name) },
@@ -53,7 +61,10 @@ export function ablationPage(page: PageData): HTMLElement {
       { id: name, metric: name, head: heading(name), numeric: true, value: (arm) => arm.metrics[name]?.mean ?? NaN, cell: (arm) => text(arm.metrics[name], name) },
       { id: `median ${name}`, metric: name, extra: true, head: 'median', numeric: true, value: (arm) => arm.metrics[name]?.median ?? NaN, cell: (arm) => fixed(arm.metrics[name]?.median, digits.get(name)) },
       { id: `difference ${name}`, metric: name, head: 'against baseline', numeric: true, value: (arm) => arm.metrics[name]?.difference?.mean ?? NaN, cell: (arm) => (isBaseline(arm) ? '' : text(arm.metrics[name]?.difference, name, true)) },
-    ] as MetricColumn[]).filter((column) => !column.id.startsWith('difference') || arms.some((arm) => arm.metrics[name]?.difference))),
+      { id: `ratio ${name}`, metric: name, extra: !hasTarget, head: 'baseline / own, medians', numeric: true, value: (arm) => arm.metrics[name]?.medians?.baseline_over_own ?? NaN, cell: (arm) => ratioText(arm.metrics[name]?.medians) },
+      { id: `gap ${name}`, metric: name, head: 'gap closed', numeric: true, value: (arm) => arm.metrics[name]?.medians?.gap_closed ?? NaN, cell: (arm) => share(arm.metrics[name]?.medians?.gap_closed) },
+    ] as MetricColumn[]).filter((column) => (!column.id.startsWith('difference') && !column.id.startsWith('ratio') || arms.some((arm) => arm.metrics[name]?.difference)) &&
+      (!column.id.startsWith('gap') || arms.some((arm) => typeof arm.metrics[name]?.medians?.gap_closed === 'number')))),
   ];
   const allBox = h('input', { type: 'checkbox', id: 'all-metrics' });
   allBox.addEventListener('change', () => table.refresh());
@@ -74,8 +85,15 @@ export function ablationPage(page: PageData): HTMLElement {
   });
   const means = intervals('Mean and 95 % interval', (arm) => arm.metrics[metric], false);
   const differences = intervals('Paired difference to the baseline', (arm) => arm.metrics[metric]?.difference, true);
-  const meansTitle = h('span', {}), differencesTitle = h('span', {});
+  const ratios = chart('Median of the baseline over the own median', () => ratioOptions(table.sorted().flatMap((arm): Interval[] => {
+    const medians = arm.metrics[metric]?.medians;
+    if (!medians || !medians.baseline_over_own) return [];
+    const [low, high] = medians.baseline_over_own_95;
+    return [{ name: arm.name, mean: medians.baseline_over_own, low: low || medians.baseline_over_own, high: high || medians.baseline_over_own, ...(colourBy ? look(colourBy, arm.levels[colourBy]) : { colour: 'var(--c0)', symbol: 'circle' }), title: `${arm.name}: ${ratioText(medians)}` }];
+  })));
+  const meansTitle = h('span', {}), differencesTitle = h('span', {}), ratiosTitle = h('span', {});
 
+  const ratiosPart = h('section', {}, h('h2', {}, ratiosTitle), ratios.element);
   const differencesPart = h('section', {}, h('h2', {}, differencesTitle), differences.element);
 
   function refresh() {
@@ -83,8 +101,11 @@ export function ablationPage(page: PageData): HTMLElement {
     meansTitle.textContent = heading(metric);
     differencesTitle.textContent = `${heading(metric)}: paired difference to the baseline`;
     differencesPart.hidden = !arms.some((arm) => typeof arm.metrics[metric]?.difference?.mean === 'number');
+    ratiosTitle.textContent = `${nameOf(metric)}: how many times smaller the median is than the baseline’s`;
+    ratiosPart.hidden = !hasTarget || !arms.some((arm) => arm.metrics[metric]?.medians?.baseline_over_own);
     means.redraw();
     differences.redraw();
+    if (!ratiosPart.hidden) ratios.redraw();
     legend.replaceChildren(...(colourBy ? levels.get(colourBy)! : []).map((level) => h('li', {}, chip(colourBy, level))));
   }
   const choice = (id: string, name: string, entries: string[], chosen: string, show: (entry: string) => string, choose: (entry: string) => void) => {
@@ -108,6 +129,6 @@ export function ablationPage(page: PageData): HTMLElement {
     metric ? h('div', { class: 'cases', style: 'margin-top:1.5rem' },
       choice('metric', 'Figures of', metrics, metric, heading, (entry) => (metric = entry)),
       factors.length ? choice('factor', 'Colours stand for', factors, colourBy, (entry) => entry, (entry) => (colourBy = entry)) : null, legend) : null,
-    metric ? h('div', { class: 'figures', style: 'margin-top:0.5rem' }, h('section', {}, h('h2', {}, meansTitle), means.element), differencesPart) : null,
+    metric ? h('div', { class: 'figures', style: 'margin-top:0.5rem' }, h('section', {}, h('h2', {}, meansTitle), means.element), differencesPart, ratiosPart) : null,
     h('div', { class: 'details' }, failures.length ? h('details', { id: 'failures', open: !metric }, h('summary', {}, `Failures (${failures.length})`), h('pre', { tabindex: 0 }, failures.join('\n'))) : null, ...provenanceDetails(page)));
 }

@@ -129,6 +129,11 @@ export interface Statistics {
   n: number; mean: number | null; median: number | null; sd: number | null;
   mean_95: [number | null, number | null]; median_95: [number | null, number | null];
 }
+/** Of the medians over the seeds that an arm, its baseline and its target completed. */
+export interface Medians {
+  n: number; baseline_over_own: number | null; baseline_over_own_95: [number | null, number | null];
+  gap_closed?: number | null; gap_closed_95?: [number | null, number | null];
+}
 export interface Arm {
   name: string;
   levels: Record<string, string>;
@@ -136,7 +141,7 @@ export interface Arm {
   failed: { seed: number; failure: string }[];
   baseline: string | null;
   mixed?: Mixed[];
-  metrics: Record<string, Statistics & { difference?: Statistics }>;
+  metrics: Record<string, Statistics & { difference?: Statistics; medians?: Medians }>;
 }
 export interface PhysicsRow {
   test: string; case: string; variant: string; quantity: string; reference: number; measured: number | null;
@@ -147,7 +152,7 @@ export interface PhysicsRow {
   by_seed?: [number, number][];
 }
 export interface PhysicsData { comparisons: number; failed: number; rows: PhysicsRow[] }
-export interface AblationData { description: string; factors: string[]; seeds: number[]; /** Names of the cases, if the seeds count cases. */ cases?: string[]; complete: boolean; arms: Arm[] }
+export interface AblationData { description: string; factors: string[]; seeds: number[]; /** Names of the cases, if the seeds count cases. */ cases?: string[]; /** Arms close a share of a gap. */ has_target?: boolean; complete: boolean; arms: Arm[] }
 
 export type FindingKind = 'fact' | 'mended' | 'warning' | 'limit';
 export interface Finding { pass: string; kind: FindingKind; count: number; text: string; places?: { element: string; at: number[] }[] }

@@ -22,6 +22,13 @@ export const intervalOptions = (rows: Interval[], metric: string, zero: boolean,
   ],
 });
 
+/** How many times smaller the medians of arms are than their baselines'. */
+export const ratioOptions = (rows: Interval[], names: string[] = rows.map((row) => row.name)): Plot.PlotOptions => ({
+  ...intervalOptions(rows, '', false, names),
+  x: { label: 'median of the baseline / own median', type: 'log', grid: true, nice: true, ticks: 5, tickFormat: '~s' },
+  marks: [Plot.ruleX([1], { stroke: 'var(--ink)' }), ...intervalOptions(rows, '', false, names).marks!],
+});
+
 /** Fig. 3: boxes of the error against the width of the knowledge, and every case as a point. */
 export function planningBoxes(planning: PlanningData) {
   const widths = planning.by_width.filter((box) => box.n > 0);

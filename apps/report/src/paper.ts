@@ -3,7 +3,7 @@ import { Plot } from './charts';
 import type { AblationData, Arm, EstimationCase, EstimationData, PlanningData, PredictionData, Statistics } from './data';
 import { label } from './dom';
 import {
-  calibrationOptions, coveragePoints, estimateOptions, estimateRows, intervalOptions, planningBoxes, planningOptions, predictionSeries, stepOptions, type Interval,
+  calibrationOptions, coveragePoints, estimateOptions, estimateRows, intervalOptions, ratioOptions, planningBoxes, planningOptions, predictionSeries, stepOptions, type Interval,
 } from './figures';
 import { plainDocument, sourceOf } from './plain_document';
 
@@ -69,6 +69,13 @@ function addAblation({ arms, factors }: AblationData, add: Add) {
     const file = metric.replace(/[^\w.]+/g, '-');
     const cells = (rows: (Interval & { n: number })[]) => rows.map((row): Cell[] => [row.name, row.n, row.mean, row.low, row.high]);
     if (means.length) add(`ablation-${file}`, intervalOptions(means, metric, false), head, cells(means));
+    const ratios = arms.flatMap((arm): (Interval & { n: number })[] => {
+      const medians = arm.metrics[metric]?.medians, level = levels.indexOf(arm.levels[varied]);
+      if (!medians || !medians.baseline_over_own || medians.gap_closed === undefined) return [];
+      const [low, high] = medians.baseline_over_own_95;
+      return [{ name: arm.name, n: medians.n, mean: medians.baseline_over_own, low: low || medians.baseline_over_own, high: high || medians.baseline_over_own, colour: `var(--c${level % 6})`, symbol: kSymbols[Math.floor(level / 6) % 3] }];
+    });
+    if (ratios.length) add(`ablation-${file}-ratio`, ratioOptions(ratios), ['arm', 'n', 'baseline_over_own', 'low_95', 'high_95'], cells(ratios));
     if (differences.length) add(`ablation-${file}-difference`, intervalOptions(differences, metric, true), head, cells(differences));
   }
 }
