@@ -36,12 +36,13 @@ def write_whole(file, data):
     os.rename(f"{file}.tmp", file)
 
 
-def files(folder):
+def file_costs(folder):
+    """Seconds of a look, of a claim and its end, of a file of 1 kB and of one of 8 MB; bytes/s of the latter."""
     many = folder / "many"
     many.mkdir()
     for i in range(10000):
         (many / f"shard-{i:05}.h5").touch()
-    print(f"a look: {timed(20000, lambda i: os.path.exists(many / f'shard-{i % 10000:05}.h5')) * 1e6:.1f} us")
+    look = timed(20000, lambda i: os.path.exists(many / f"shard-{i % 10000:05}.h5"))
 
     def claim(i):
         file = folder / f"{i}.claim"
@@ -50,11 +51,19 @@ def files(folder):
         os.close(number)
         os.unlink(file)
 
-    print(f"a claim: {timed(3000, claim) * 1e6:.1f} us")
+    claimed = timed(3000, claim)
     small, large = b"x" * 1000, os.urandom(8 << 20)
-    print(f"a file of 1 kB: {timed(200, lambda i: write_whole(folder / f's{i}', small)) * 1e3:.2f} ms")
+    written = timed(200, lambda i: write_whole(folder / f"s{i}", small))
     seconds = timed(30, lambda i: write_whole(folder / f"l{i}", large))
-    print(f"a file of 8 MB: {seconds * 1e3:.1f} ms, {len(large) / seconds / 1e6:.0f} MB/s")
+    return look, claimed, written, seconds, len(large) / seconds
+
+
+def files(folder):
+    look, claimed, small, large, speed = file_costs(folder)
+    print(f"a look: {look * 1e6:.1f} us")
+    print(f"a claim: {claimed * 1e6:.1f} us")
+    print(f"a file of 1 kB: {small * 1e3:.2f} ms")
+    print(f"a file of 8 MB: {large * 1e3:.1f} ms, {speed / 1e6:.0f} MB/s")
 
 
 def cpu_of(words):
