@@ -90,11 +90,15 @@ int run_alone(Context& context, const Options& options, const std::string& name,
   require_command(context, folder, name);
   const PlacedFolder placed(folder);
   const auto result = compute(given, recorded ? &*recorded : nullptr);
+  if (*context.cancel_flag()) {
+    context.complain("interrupted: a search that was cut short is not kept; nothing was written");
+    return 1;
+  }
   const std::string json = to_json(result).dump(2) + "\n", times = times_of(result).dump();
+  write_text(folder / (name + ".json"), json);  // first, so that it is kept if the disk gets full
   write_garment(given.task, folder);
   write_text(folder / "config.yaml", given.saved_config().to_yaml());
   write_text(folder / "provenance.json", given.provenance(identity));
-  write_text(folder / (name + ".json"), json);
   write_text(folder / "times.json", times_json(given.host->threads(), {{name + ".json", times}}));
   if (context.json) context.output() << with_times(json, times);
   context.say("results in " + folder.string());

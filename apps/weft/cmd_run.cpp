@@ -165,6 +165,7 @@ int run(Context& context, const std::string& file) {
     write_text(folder / "summary.json", summary);
     if (context.json) context.output() << summary;
   }
+  if (*context.cancel_flag()) context.complain("interrupted: the session ends before a release");
   context.say("results in " + folder.string());
   const bool all_done = !is_sequence || result.steps.size() == steps.size();
   return result.released && all_done ? 0 : 1;

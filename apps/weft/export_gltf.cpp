@@ -2,6 +2,7 @@
 
 #include <Eigen/Geometry>
 #include <cstring>
+#include <sstream>
 
 #include "exports.hpp"
 #include "sdk/files.hpp"
@@ -184,10 +185,10 @@ void export_gltf(const std::filesystem::path& file, const SessionRecord& session
 
   tinygltf::TinyGLTF writer;
   const bool binary = file.extension() != ".gltf";
-  WholeFile whole(file);
-  if (!writer.WriteGltfSceneToFile(&model, whole.temporary().string(), true, true, false, binary))
-    whole.fail("check that its folder exists and has room");
-  whole.commit();
+  // Not by tinygltf itself, which does not see that a disk is full.
+  std::ostringstream text(std::ios::binary);
+  if (!writer.WriteGltfSceneToStream(&model, text, false, binary)) throw Error(file.string() + ": cannot be made");
+  write_text(file, text.str());
 }
 
 }  // namespace weft::app

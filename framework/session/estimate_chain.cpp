@@ -23,10 +23,14 @@ Estimate SessionEstimator::next(EstimateRequest request, const Estimate* previou
   if (segments > network_.max_segments().value_or(segments)) return *previous;
   if (previous) request.previous = previous->knowledge;
   if (!corrector_ || !corrector_->applies(segments)) return network_.estimate(request);
-  if (previous && previous->corrected) return corrector_->next(request, *previous);
+  if (previous && previous->corrected) {
+    Estimate next = corrector_->next(request, *previous);
+    return next.corrected ? next : *previous;
+  }
   Estimate network = network_.estimate(request);
   const MaterialProperties start = network.posterior ? network.posterior->mode : network.knowledge.centre;
   Estimate corrected = corrector_->first(request, start);
+  if (!corrected.corrected) return network;
   corrected.nll = network.nll;
   corrected.misfit = network.misfit;
   corrected.losses = network.losses;

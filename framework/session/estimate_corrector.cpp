@@ -393,6 +393,7 @@ Estimate EstimateCorrector::correct(const EstimateRequest& request, const Materi
     tried.push_back(std::move(next));
     is_new = true;
   }
+  if (jacobian.empty()) return estimate;  // cancelled before anything was compared
   estimate.corrected = best.q;
   estimate.sequence = best.sim;
   estimate.posterior = search.posterior(best, jacobian);

@@ -159,6 +159,21 @@ void check_gltf(const tinygltf::Model& model, const SessionRecord& session) {
   EXPECT_LT((turn * Eigen::Vector3d::UnitZ() - Eigen::Vector3d::UnitY()).norm(), 1e-12);
 }
 
+TEST_F(Export, AFileThatCannotBeWrittenWholeIsAnError) {
+  // A limit on the size of files fails as a full disk does.
+  for (const char* name : {"full.glb", "full.gltf", "full.csv", "full.usda"}) {
+    const std::string to = std::string(name).ends_with("csv")    ? "csv"
+                           : std::string(name).ends_with("usda") ? "usd"
+                                                                 : "gltf";
+    const Outcome limited =
+        test::run_shell("unset WEFT_PLUGIN_PATH; ulimit -f 8; '" WEFT_PROGRAM "' export '" + run_folder().string() +
+                        "' --to " + to + " --quiet --out '" + (*folder_ / name).string() + "'");
+    EXPECT_EQ(limited.code, 1) << name << limited.output;
+    EXPECT_THAT(limited.output, HasSubstr(name));
+    EXPECT_FALSE(fs::is_regular_file(*folder_ / name)) << name;
+  }
+}
+
 TEST_F(Export, GltfHoldsEveryExportedFrame) {
   const fs::path binary = *folder_ / "a.glb", text = *folder_ / "a.gltf";
   ASSERT_EQ(export_command("--to gltf --every 5 --quiet --out '" + binary.string() + "'").code, 0);

@@ -39,9 +39,14 @@ def require(condition, text):
 class Bench:
     """The cluster, the inputs, and the right results."""
 
-    def __init__(self, weft, slurm, folder):
+    def __init__(self, weft, slurm, folder, plugins=None):
         self.weft, self.slurm, self.folder = str(Path(weft).resolve()), slurm, folder
-        for name, text in (("task", fault_kit.TASK), ("ablation", fault_kit.ablation(SEEDS)),
+        task = fault_kit.TASK
+        if plugins:  # a cell lasts some seconds, so that it can be broken in the middle
+            task = task.replace("optimiser: {plugin: rprop}",
+                                f"optimiser: {{plugin: patient, params: {{pause_s: 0.4}}}}\nplugin_path: ['{plugins}']")
+            require("patient" in task, "the task has another optimiser")
+        for name, text in (("task", task), ("ablation", fault_kit.ablation(SEEDS)),
                            ("experiment", fault_kit.EXPERIMENT), ("physics", fault_kit.PHYSICS)):
             (folder / f"{name}.yaml").write_text(text)
         self.environment = {name: value for name, value in slurm.environment.items()
@@ -121,7 +126,8 @@ class Bench:
                 if (one.suffix == ".yaml" or one.name in ("data", "model")) and one != self.out:
                     (folder / one.name).symlink_to(one)
             name = self.out.name if file else "out"
-            one = subprocess.run([self.weft, *arguments.split(), "--out", name + file, "--jobs", "2", "--quiet"], cwd=folder,
+            jobs = "8" if arguments == SWEEP else "2"  # its cells wait more than they work
+            one = subprocess.run([self.weft, *arguments.split(), "--out", name + file, "--jobs", jobs, "--quiet"], cwd=folder,
                                  env=self.environment, capture_output=True, text=True, check=False)
             require(one.returncode == 0, f"weft {arguments} in one process failed: {one.stderr}")
             self._right[arguments] = fault_kit.contents(folder / name)
@@ -437,6 +443,7 @@ LONGER = [real_time_limit, learned]
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("weft")
+    parser.add_argument("--plugins", type=Path, help="folder of the optimiser `patient` (patient.cpp): slower cells")
     parser.add_argument("--all", action="store_true", help="also what takes longer")
     parser.add_argument("--only", type=lambda names: names.split(","), metavar="NAMES", help="comma-separated")
     options = parser.parse_args()
@@ -451,7 +458,7 @@ def main():
     with Slurm() as slurm:
         work = slurm.folder / "work"
         work.mkdir()
-        bench = Bench(options.weft, slurm, work)
+        bench = Bench(options.weft, slurm, work, options.plugins)
         for scenario in chosen:
             started = time.monotonic()
             try:

@@ -1,4 +1,5 @@
 // Plans and estimates that the simulator corrects.
+#include <atomic>
 #include <cmath>
 #include <numeric>
 
@@ -153,6 +154,27 @@ TEST_F(Correction, TrialsLearnWhatTheSimulationMisses) {
   }
   EXPECT_GT(first, 2.0);
   EXPECT_LT(last, 0.6 * first);
+}
+
+TEST_F(Correction, AStoppedSessionKeepsWhatWasExecuted) {
+  // Stopped while its estimates are corrected: with one thread they are computed after the signal.
+  const auto settings = with(kEstimate, {"estimation.correction.simulations=6", "correction={simulations: 2}"});
+  ConfigNode config = ConfigNode::load(folder_ / "task.yaml");
+  for (const auto& assignment : settings) config = apply_override(config, assignment);
+  SessionParams params;
+  read_params(config, params);
+  for (const Index last : {0, 1}) {
+    std::atomic<bool> stop = false;
+    HostOptions options{.threads = 1, .seed = 4};
+    options.cancel = &stop;
+    const auto host = make_host(std::make_shared<PluginRegistry>(), options);
+    const SessionResult result = run_configured_session(
+        params, config, *host, [&](const SessionRound&, Index number, double) { stop = number == last; });
+    EXPECT_FALSE(result.released);
+    EXPECT_EQ(std::ssize(result.rounds), last + 1);
+    EXPECT_EQ(result.estimates.size(), result.rounds.size());
+    EXPECT_TRUE(result.final_shape.allFinite());
+  }
 }
 
 TEST_F(Correction, TrialsThatWouldLearnNothingAreRefused) {
