@@ -60,8 +60,10 @@ std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::first(const PlanRequ
     track_ = {twin_->start(knowledge_.centre)};
     CorrectionRequest correction;
     correction.candidates = plan_.points;
+    // Not first: where a single plan is simulated, it is that of what is known now.
     if (!before_.learned.empty())
-      correction.candidates.insert(correction.candidates.begin(), planner_->point_of(request, before_.controls));
+      correction.candidates.insert(correction.candidates.begin() + (correction.candidates.empty() ? 0 : 1),
+                                   planner_->point_of(request, before_.controls));
     correction.simulations = params_.simulations;
     correction.radius = params_.radius;
     const Plan network = plan_;

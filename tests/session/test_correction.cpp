@@ -177,6 +177,16 @@ TEST_F(Correction, AStoppedSessionKeepsWhatWasExecuted) {
   }
 }
 
+TEST_F(Correction, ASecondTrialIsPlannedWithWhatTheFirstOneShowed) {
+  // One plan is simulated: not the one of the trial before, which knew nothing.
+  const auto settings = with(kEstimate, {"correction={simulations: 1, later_simulations: 0, max_width: 1}",
+                                         "planning.replan=false", "planning.iterations=4"});
+  const SessionResult one = run(settings), two = run(with(settings, {"trials=2"}));
+  EXPECT_EQ(two.trials.front().error_mm, one.error_mm);
+  EXPECT_LT(two.rounds.front().knowledge.width.mean(), one.rounds.front().knowledge.width.mean());
+  EXPECT_NE(two.rounds.front().plan.controls, one.rounds.front().plan.controls);
+}
+
 TEST_F(Correction, TrialsThatWouldLearnNothingAreRefused) {
   EXPECT_THAT(test::message_of<ConfigError>([&] { run({"trials=2"}); }), HasSubstr("nothing would be learned"));
   EXPECT_THAT(test::message_of<ConfigError>([&] {
