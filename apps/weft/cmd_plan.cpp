@@ -90,10 +90,7 @@ int run_alone(Context& context, const Options& options, const std::string& name,
   require_command(context, folder, name);
   const PlacedFolder placed(folder);
   const auto result = compute(given, recorded ? &*recorded : nullptr);
-  if (*context.cancel_flag()) {
-    context.complain("interrupted: a search that was cut short is not kept; nothing was written");
-    return 1;
-  }
+  if (*context.cancel_flag()) throw Error("interrupted: a search that was cut short is not kept; nothing was written");
   const std::string json = to_json(result).dump(2) + "\n", times = times_of(result).dump();
   write_text(folder / (name + ".json"), json);  // first, so that it is kept if the disk gets full
   write_garment(given.task, folder);

@@ -165,10 +165,10 @@ int run(Context& context, const std::string& file) {
     write_text(folder / "summary.json", summary);
     if (context.json) context.output() << summary;
   }
-  if (*context.cancel_flag()) context.complain("interrupted: the session ends before a release");
+  const bool all_done = result.released && (!is_sequence || result.steps.size() == steps.size());
+  if (*context.cancel_flag() && !all_done) context.complain("interrupted: the session ends before the last release");
   context.say("results in " + folder.string());
-  const bool all_done = !is_sequence || result.steps.size() == steps.size();
-  return result.released && all_done ? 0 : 1;
+  return all_done ? 0 : 1;
 }
 
 }  // namespace

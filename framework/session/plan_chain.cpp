@@ -107,6 +107,11 @@ std::pair<Plan, std::optional<CorrectionRecord>> PlanChain::next(const PlanReque
   return {plan_, record};
 }
 
+const Plan& PlanChain::rest() {
+  plan_ = rest_of(plan_);
+  return plan_;
+}
+
 void PlanChain::add(ConstVec control, const Observation& seen) {
   executed_.conservativeResize(executed_.rows() + 1, Eigen::NoChange);
   executed_.bottomRows(1) = control.transpose();

@@ -57,6 +57,8 @@ class PlanChain {
   void add(ConstVec control, const Observation& seen);
   /// What this trial taught, once all its segments are added. @param released whether the cloth was. @throws Diverged.
   TrialMemory memory(bool released);
+  /// What is left of the plan in force after one more segment, without a new plan: open loop.
+  const Plan& rest();
   /// The knowledge that the plan in force was made with.
   const MaterialKnowledge& knowledge() const { return knowledge_; }
   /// Segments at whose beginning a correction started that was dropped.

@@ -302,7 +302,7 @@ class SessionRun {
     SessionRound round;
     round.state = state_;
     if (!params_.planning.replan && number > 0 && result_.rounds.back().plan.controls.rows() > 1) {
-      round.plan = rest_of(result_.rounds.back().plan);
+      round.plan = plans_ ? plans_->rest() : rest_of(result_.rounds.back().plan);
       round.knowledge = result_.rounds.back().knowledge;
       return round;
     }
@@ -420,6 +420,7 @@ SessionResult run_configured_session(const SessionParams& params, const ConfigNo
     result = run_session(params, setup, *environment, host, progress, params.trials > 1 ? &memory : nullptr);
     trials.push_back(result.record());
   }
+  if (trials.empty()) throw Error("interrupted before the first segment");
   result.trials = std::move(trials);
   result.world = world_record(setup.task, params.world, seed);
   return result;

@@ -205,7 +205,8 @@ SessionResult run_session(const SessionParams& params, const SessionSetup& setup
 /// Makes the setup and the environment from the config and runs the session, as often as params.trials says, each time in a
 /// new environment with the same cloth.
 /// @param origin the node that params were read from.
-/// @throws ConfigError, PluginError before any work starts; as run_session().
+/// @throws ConfigError, PluginError before any work starts; Error if it is cancelled before the first segment; as
+/// run_session().
 /// @param start where the cloth lies, in place of what the config says; null: as it says.
 SessionResult run_configured_session(const SessionParams& params, const ConfigNode& origin, Host& host,
                                      const SessionProgress& progress = {},

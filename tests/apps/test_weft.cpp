@@ -566,18 +566,21 @@ TEST(Program, APlanOrASessionThatIsAskedToStopSaysSo) {
   const Folder folder;
   const auto task =
       folder.write("task.yaml", kTowelTask + "planning: {instances: 1, iterations: 90000, horizon: 12}\n");
-  for (const char* command : {"run", "plan"}) {
-    const std::string out = (folder / command).string();
-    const Outcome outcome = test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + std::string(command) +
-                                            " '" + task.string() + "' --out '" + out +
-                                            "' & weft=$!\n"
-                                            "until test -d '" +
-                                            out +
-                                            "' || ! kill -0 $weft; do sleep 0.05; done\n"
-                                            "kill -TERM $weft; wait $weft");
-    EXPECT_EQ(outcome.code, 1) << command << outcome.output;
-    EXPECT_THAT(outcome.output, HasSubstr("interrupted")) << command;
-    EXPECT_FALSE(std::filesystem::exists(out + "/plan.json"));
+  // Also before the first segment, while the goal is made.
+  for (const char* pause : {"0", "0.003", "0.006", "0.01", "0.1"}) {
+    for (const char* command : {"run", "plan"}) {
+      const std::string out = (folder / command).string();
+      const Outcome outcome =
+          test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + std::string(command) + " '" + task.string() +
+                          "' --out '" + out +
+                          "' & weft=$!\n"
+                          "until test -d '" +
+                          out + "' || ! kill -0 $weft; do :; done; sleep " + pause + "\nkill -TERM $weft; wait $weft");
+      EXPECT_EQ(outcome.code, 1) << command << " " << pause << outcome.output;
+      EXPECT_THAT(outcome.output, HasSubstr("interrupted")) << command << " " << pause;
+      EXPECT_FALSE(std::filesystem::exists(out + "/plan.json"));
+      std::filesystem::remove_all(folder / "run");
+    }
   }
   EXPECT_FALSE(std::filesystem::exists(folder / "plan"));  // a plan that was cut short is not kept
 }

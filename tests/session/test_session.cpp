@@ -59,8 +59,14 @@ TEST_F(Session, WithoutReplansTheFirstPlanIsExecutedToItsEnd) {
 }
 
 TEST_F(Session, WithoutReplansAPlanThatEndsBeforeItReleasesIsFollowedByAnother) {
-  const SessionResult result = run({"planning.replan=false", "planning.horizon=3", "planning.leeway=3"});
-  EXPECT_GT(result.rounds.size(), 3u);
+  const std::vector<std::string> settings = {"planning.replan=false", "planning.horizon=3", "planning.leeway=3"};
+  auto corrected = settings;
+  corrected.push_back("correction={simulations: 2}");
+  const SessionResult plain = run(settings), other = run(corrected);
+  ASSERT_GT(plain.rounds.size(), 3u);
+  ASSERT_GT(other.rounds.size(), 3u);
+  // Only plans that release are corrected, so the second plan is the same with corrections.
+  EXPECT_EQ(other.rounds[3].plan.controls, plain.rounds[3].plan.controls);
 }
 
 TEST_F(Session, PropertiesCanBeUnknownOneByOne) {
