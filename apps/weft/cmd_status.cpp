@@ -10,14 +10,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// The folder, or the one that a model file lies in.
-fs::path folder_of(const std::string& given) {
-  return fs::is_regular_file(given) ? fs::absolute(given).parent_path() : fs::path(given);
-}
-
-/// Its submissions. @throws ConfigError without any.
+/// The submissions of a folder, or of the folder that a model file lies in. @throws ConfigError without any.
 std::vector<Submission> submissions_of(const std::string& given) {
-  const fs::path folder = folder_of(given);
+  const fs::path folder = fs::is_regular_file(given) ? fs::absolute(given).parent_path() : fs::path(given);
   if (!fs::is_directory(folder)) throw ConfigError(folder.string() + ": no such folder");
   auto all = read_submissions(folder);
   if (all.empty())
@@ -52,18 +47,15 @@ int status(const Context& context, const std::string& folder) {
 }
 
 int cancel(const Context& context, const std::string& folder) {
-  const auto found = submissions_of(folder);
   const Slurm slurm;
   Context::catch_signals();
-  for (const Submission& seen : found) {
+  for (const Submission& seen : submissions_of(folder)) {
     // Not while its jobs are being submitted: those that follow would go on.
     Claims claims(seen.scripts.folder / "claims");
     claim_submission(claims, seen.scripts.folder, context.cancel_flag());
-    std::optional<Submission> read_again;
-    for (auto& one : read_submissions(folder_of(folder)))
-      if (one.scripts.folder == seen.scripts.folder) read_again = std::move(one);
-    if (!read_again) continue;
-    Submission& submission = *read_again;
+    auto now = read_submission(seen.scripts.folder);
+    if (!now) continue;
+    Submission& submission = *now;
     std::string problem;
     const auto jobs = slurm.jobs(submission.names(), problem);
     if (!jobs) throw Error("Slurm does not answer: " + problem);

@@ -34,6 +34,15 @@ std::vector<std::string> arguments_of_rank(const Context& context, const TrainCa
   return arguments;
 }
 
+/// @throws ConfigError if the predictor cannot be trained over so many ranks.
+void require_ranks(const TrainingCapabilities& can, std::int64_t ranks, const ConfigNode& config) {
+  if (ranks > 1 && !can.ranks)
+    config.fail("predictor cannot be trained over ranks; start one process, or name {plugin: emd}");
+  if (can.parts > 0 && can.parts % ranks != 0)
+    config.fail("predictor divides a batch into " + std::to_string(can.parts) + " parts, which " +
+                std::to_string(ranks) + " ranks cannot share equally; set training.parts, or votes, to a multiple");
+}
+
 /// Writes what a fit leaves beside its model. @return its times.
 ordered_json write_fit_report(const Prepared<ExperimentParams>& given, const FitReport& report, const fs::path& out) {
   // The resolved config beside the results, with every default of the trained predictor.
@@ -92,13 +101,7 @@ int train_model(Context& context, const TrainCall& call) {
   const TrainingCapabilities can = learner->training_capabilities();
   const std::int64_t planned_ranks =
       call.cluster.is_given() ? ranks_of_profile(call.cluster, work) : std::max<std::int64_t>(wanted_ranks, ranks.size);
-  if (planned_ranks > 1 && !can.ranks)
-    given.config.fail("predictor cannot be trained over ranks; start one process, or name {plugin: emd}");
-  if (can.parts > 0 && can.parts % planned_ranks != 0)
-    given.config.fail("predictor divides a batch into " + std::to_string(can.parts) + " parts, which " +
-                      std::to_string(planned_ranks) +
-                      " ranks cannot share equally; set training.parts, or votes, to a "
-                      "multiple");
+  require_ranks(can, planned_ranks, given.config);
   if (wanted_ranks > 1 && ranks.size == 1 && !call.cluster.is_given()) {
     return run_ranks(context,
                      arguments_of_rank(context, call, folders, std::max(1, given.host->threads() / wanted_ranks)),

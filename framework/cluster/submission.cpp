@@ -135,19 +135,6 @@ Submission from_json(const ordered_json& json, const fs::path& folder) {
   return s;
 }
 
-std::optional<Submission> read_submission(const fs::path& folder) {
-  const fs::path file = folder / kRecord;
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) return std::nullopt;
-  try {
-    return from_json(parse_json(std::string{std::istreambuf_iterator<char>(stream), {}}), folder);
-  } catch (const ordered_json::exception& error) {
-    throw ConfigError(file.string() + ": is damaged: " + error.what());
-  } catch (const Error& error) {
-    throw ConfigError(file.string() + ": " + error.what());
-  }
-}
-
 /// Submits those of the jobs that have no id yet, and records each id as soon as there is one.
 void submit_missing(Submission& s, const Slurm& slurm) {
   const auto submit_one = [&](JobKind kind, std::string& id, const std::string& after) {
@@ -209,6 +196,19 @@ std::int64_t Submission::units_there() const {
 }
 
 void Submission::save() const { write_text(scripts.folder / kRecord, to_json(*this).dump(2) + "\n"); }
+
+std::optional<Submission> read_submission(const fs::path& folder) {
+  const fs::path file = folder / kRecord;
+  std::ifstream stream(file, std::ios::binary);
+  if (!stream) return std::nullopt;
+  try {
+    return from_json(parse_json(std::string{std::istreambuf_iterator<char>(stream), {}}), folder);
+  } catch (const ordered_json::exception& error) {
+    throw ConfigError(file.string() + ": is damaged: " + error.what());
+  } catch (const Error& error) {
+    throw ConfigError(file.string() + ": " + error.what());
+  }
+}
 
 std::vector<Submission> read_submissions(const fs::path& results) {
   std::vector<fs::path> folders;

@@ -58,6 +58,8 @@ struct Submission {
 
 /// RESULTS/slurm.
 std::filesystem::path cluster_folder(const std::filesystem::path& results);
+/// The submission of RESULTS/slurm/LABEL; nothing without one. @throws ConfigError for a damaged one.
+std::optional<Submission> read_submission(const std::filesystem::path& folder);
 /// The submissions that a folder of results has. @throws ConfigError for a damaged one.
 std::vector<Submission> read_submissions(const std::filesystem::path& results);
 

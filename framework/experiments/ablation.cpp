@@ -6,6 +6,7 @@
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 
 #include "experiments/csv.hpp"
@@ -122,9 +123,10 @@ Factor read_tasks(const ConfigNode& node) {
   return factor;
 }
 
-/// Index of a level in each factor; -1: the arm's own level.
-std::vector<int> read_levels(const ConfigNode& node, const std::vector<Factor>& factors) {
-  std::vector<int> levels(factors.size(), -1);
+/// Index of a level in each factor; nothing: the arm's own level.
+using Levels = std::vector<std::optional<std::size_t>>;
+Levels read_levels(const ConfigNode& node, const std::vector<Factor>& factors) {
+  Levels levels(factors.size());
   const auto find = [](const ConfigNode& from, const Factor& factor) {
     std::vector<std::string> names;
     for (const auto& level : factor.levels) names.push_back(level.name);
@@ -132,7 +134,7 @@ std::vector<int> read_levels(const ConfigNode& node, const std::vector<Factor>& 
     const auto found = std::find(names.begin(), names.end(), wanted);
     if (found == names.end())
       from.fail("= " + wanted + " is not a level of " + factor.name + nearest_hint(wanted, names));
-    return static_cast<int>(found - names.begin());
+    return static_cast<std::size_t>(found - names.begin());
   };
   if (node.is_null()) return levels;
   if (node.is_scalar()) {
@@ -254,9 +256,9 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
   if (has_tasks) factors.insert(factors.begin(), read_tasks(params.tasks));
   const ConfigNode base = has_tasks ? ConfigNode() : ConfigNode::load(params.task).without("seed");
   const Changes set = read_changes(params.set);
-  std::vector<int> baseline = read_levels(params.baseline, factors);
+  Levels baseline = read_levels(params.baseline, factors);
   if (params.baseline.is_null()) baseline[has_tasks ? 1 : 0] = 0;
-  const std::vector<int> target = read_levels(params.target, factors);
+  const Levels target = read_levels(params.target, factors);
 
   AblationPlan plan;
   plan.description = params.description;
@@ -284,8 +286,8 @@ AblationPlan read_ablation(const ConfigNode& config, const std::uint64_t* first_
       arm.levels.push_back(factors[f].levels[level].name);
       arm.name += (f > 0 ? ", " : "") + factors[f].levels[level].name;
       for (const auto& [key, value] : factors[f].levels[level].changes) arm.config = arm.config.with(key, value);
-      plan.baseline[a] += stride * (baseline[f] >= 0 ? static_cast<std::size_t>(baseline[f]) : level);
-      plan.target[a] += stride * (target[f] >= 0 ? static_cast<std::size_t>(target[f]) : level);
+      plan.baseline[a] += stride * baseline[f].value_or(level);
+      plan.target[a] += stride * target[f].value_or(level);
     }
     if (arm.config.has("seed")) config.fail("sets `seed` of the sessions; `seeds` does that");
     // Refuses wrong keys of a session before any work.
@@ -421,19 +423,22 @@ std::string ablation_table(const AblationPlan& plan, const std::vector<SweepRow>
     const Comparison c = compare(plan, table, a, metric);
     std::size_t failed = 0;
     for (const auto& row : rows) failed += row.arm == a && !row.failure.empty();
-    char numbers[300];
-    int used = std::snprintf(numbers, sizeof numbers, "%4zu  %6zu  %8.4g  %8.4g  [%8.4g, %8.4g]", c.own.n, failed,
-                             c.own.median, c.own.mean, c.own.mean_interval.first, c.own.mean_interval.second);
-    if (plan.baseline[a] != a)
-      used +=
-          std::snprintf(numbers + used, sizeof numbers - static_cast<std::size_t>(used), "  %+9.4g  [%+9.4g, %+9.4g]",
-                        c.difference.mean, c.difference.mean_interval.first, c.difference.mean_interval.second);
-    if (plan.baseline[a] != a && !plan.target.empty())
-      used += std::snprintf(numbers + used, sizeof numbers - static_cast<std::size_t>(used),
-                            "   %8.3g  [%6.3g, %6.3g]      %5.0f %%", c.medians.ratio, c.medians.ratio_interval.first,
-                            c.medians.ratio_interval.second, 100.0 * c.medians.gap_closed);
-    if (c.unpaired > 0)
-      std::snprintf(numbers + used, sizeof numbers - static_cast<std::size_t>(used), "  NOT ALL PAIRED");
+    std::string numbers;
+    const auto add = [&](const char* format, auto... values) {
+      char piece[120];
+      std::snprintf(piece, sizeof piece, format, values...);
+      numbers += piece;
+    };
+    add("%4zu  %6zu  %8.4g  %8.4g  [%8.4g, %8.4g]", c.own.n, failed, c.own.median, c.own.mean,
+        c.own.mean_interval.first, c.own.mean_interval.second);
+    if (plan.baseline[a] != a) {
+      add("  %+9.4g  [%+9.4g, %+9.4g]", c.difference.mean, c.difference.mean_interval.first,
+          c.difference.mean_interval.second);
+      if (!plan.target.empty())
+        add("   %8.3g  [%6.3g, %6.3g]      %5.0f %%", c.medians.ratio, c.medians.ratio_interval.first,
+            c.medians.ratio_interval.second, 100.0 * c.medians.gap_closed);
+    }
+    if (c.unpaired > 0) numbers += "  NOT ALL PAIRED";
     text += line(plan.arms[a].name, numbers);
   }
   return text;

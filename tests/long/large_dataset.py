@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Training from a dataset larger than the memory it may take: large_dataset.py WEFT REPEAT_DATASET OUT [options]
 
-Makes --examples examples of --config, and writes them again and again under new numbers until the set has --gib GiB
+Makes OUT anew, with --examples examples of --config, and writes them again and again under new numbers until the set has --gib GiB
 (repeat_dataset.cpp beside this, built with the tests). Then it fits --iterations iterations, --pairs times by
 turns: from the large set, whose shapes are read by index, and from the few examples in memory (--in-memory). It fails if
 
@@ -9,13 +9,14 @@ turns: from the large set, whose shapes are read by index, and from the few exam
 - the fits of the few examples, by index and in memory, are not the same bytes;
 - the median over the pairs of the steps a second is below --least of those in memory (--least 0: only printed).
 
-The full test, twenty minutes on two idle cores and 21 GiB of disk:  large_dataset.py build/release/bin/weft \\
+The full test, which needs two idle cores and 21 GiB of disk:  large_dataset.py build/release/bin/weft \\
     build/release/bin/repeat_dataset OUT --gib 20 --pairs 5 --calibrate --least 0.95
 """
 
 import argparse
 import os
 import re
+import shutil
 import statistics
 import subprocess
 import sys
@@ -80,6 +81,7 @@ def main():
     parser.add_argument("--calibrate", action="store_true")
     options = parser.parse_args()
     few, large = options.out / "few", options.out / "large"
+    shutil.rmtree(options.out, ignore_errors=True)  # what another build made would be refused
     run([options.weft, "generate", options.config, "--examples", options.examples, "--seed", 1, "--jobs", options.jobs, "--quiet",
          "--out", few])
     size = sum(file.stat().st_size for file in few.glob("shard-*.h5"))
