@@ -58,10 +58,20 @@ std::uint64_t Example::checksum(const std::vector<float>& shapes_of_it) const {
 
 std::vector<float> Example::read_shapes(Index vertices) const {
   if (stored.file == nullptr) return shapes;
+  std::vector<float> read;
+  read_shapes(vertices, read);
+  return read;
+}
+
+void Example::read_shapes(Index vertices, std::vector<float>& read) const {
+  if (stored.file == nullptr) {
+    read = shapes;
+    return;
+  }
   const auto refuse = [this](const std::string& reason) {
     throw ConfigError(stored.file->string() + ": example " + std::to_string(index) + " " + reason);
   };
-  std::vector<float> read(static_cast<std::size_t>(failed() ? 0 : (segments() + 1) * vertices * 3));
+  read.resize(static_cast<std::size_t>(failed() ? 0 : (segments() + 1) * vertices * 3));
   const int file = ::open(stored.file->c_str(), O_RDONLY | O_CLOEXEC);
   if (file < 0) refuse(std::string("cannot be read: ") + std::strerror(errno));
   std::size_t done = 0;
@@ -78,7 +88,6 @@ std::vector<float> Example::read_shapes(Index vertices) const {
   ::close(file);
   if (!problem.empty()) refuse(problem);
   if (checksum(read) != stored.checksum) refuse("is damaged: it does not have its recorded checksum");
-  return read;
 }
 
 std::size_t Dataset::source(std::size_t example) const {

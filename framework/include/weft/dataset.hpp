@@ -43,6 +43,8 @@ struct Example {
   /// @param vertices V. @return [k + 1, V, 3] m.
   /// @throws ConfigError naming the file when it cannot be read, or holds something else than when it was listed.
   WEFT_API std::vector<float> read_shapes(Index vertices) const;
+  /// The same into a vector whose memory is used again. @param to [k + 1, V, 3] m.
+  WEFT_API void read_shapes(Index vertices, std::vector<float>& to) const;
 };
 
 enum class Split { train, validation, test };  // in order of use: < is meaningful

@@ -178,11 +178,19 @@ class Passes {
   bool reads_files() const { return reads_files_; }
   /// Begins to read the shapes of examples on another thread, and keeps those of the call before.
   void read_ahead(std::vector<std::size_t> examples) {
+    // Fresh memory of this size costs as much as reading into it.
+    std::vector<Buffer> spare;
+    for (auto& [example, buffer] : ahead_)
+      if (buffer.use_count() == 1) spare.push_back(std::move(buffer));
     ahead_ = coming_.valid() ? coming_.get() : Read();
-    coming_ = std::async(std::launch::async, [this, wanted = std::move(examples)] {
+    coming_ = std::async(std::launch::async, [this, wanted = std::move(examples), spare = std::move(spare)]() mutable {
       Read all;
       for (const std::size_t i : wanted) {
-        if (!all.contains(i)) all.emplace(i, read(i));
+        if (all.contains(i)) continue;
+        const Buffer buffer = spare.empty() ? std::make_shared<std::vector<float>>() : std::move(spare.back());
+        if (!spare.empty()) spare.pop_back();
+        example(i).read_shapes(model_.dimensions.vertices, *buffer);
+        all.emplace(i, buffer);
       }
       return all;
     });
@@ -259,7 +267,8 @@ class Passes {
   }
 
  private:
-  using Read = std::unordered_map<std::size_t, Shapes>;
+  using Buffer = std::shared_ptr<std::vector<float>>;
+  using Read = std::unordered_map<std::size_t, Buffer>;
   Shapes read(std::size_t i) const {
     return std::make_shared<const std::vector<float>>(example(i).read_shapes(model_.dimensions.vertices));
   }
