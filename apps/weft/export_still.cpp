@@ -11,13 +11,10 @@
 #include "weft/garment.hpp"
 
 namespace weft::app {
-namespace {
+/// What StillPainter::Scene is made of: a class of a header has no members of an anonymous namespace.
+namespace still {
 
 using Eigen::Vector3d;
-using Colour = Eigen::Vector3f;
-
-constexpr int kSamples = 3;  // per pixel and axis
-constexpr double kNear = 0.02;
 
 /// Seen from outside the shape: a pinhole camera that looks at a point, z up.
 struct Camera {
@@ -56,6 +53,38 @@ struct Camera {
   double focal;
   Eigen::Vector2d middle;
 };
+
+/// What the pictures of a session show: its shapes, the goal and the way of the hands.
+/// One camera for the whole session: stills of several frames fit on each other.
+struct Subject {
+  explicit Subject(const SessionRecord& session) {
+    const std::size_t halfway = session.segment_frame(session.segments()) / 2;
+    for (const Positions* shape :
+         {&session.frames.front(), &session.frames[halfway], &session.frames.back(), &session.goal}) {
+      for (Index v = 0; v < shape->rows(); ++v) points.emplace_back(shape->row(v).transpose());
+      low = low.cwiseMin(shape->colwise().minCoeff().transpose());
+      high = high.cwiseMax(shape->colwise().maxCoeff().transpose());
+    }
+    const std::size_t release = session.segment_frame(session.segments());
+    for (std::size_t f = 0; f <= release; ++f) {
+      for (const Index vertex : session.grasp_vertices) points.emplace_back(session.frames[f].row(vertex).transpose());
+    }
+  }
+  std::vector<Vector3d> points;
+  Vector3d low = Vector3d::Constant(1e9), high = -low;  ///< box of the shapes
+};
+
+}  // namespace still
+
+namespace {
+
+using Eigen::Vector3d;
+using still::Camera;
+using still::Subject;
+using Colour = Eigen::Vector3f;
+
+constexpr int kSamples = 3;  // per pixel and axis
+constexpr double kNear = 0.02;
 
 /// Colours and 1 / depth per sample. Larger is nearer.
 struct Canvas {
@@ -210,26 +239,6 @@ void draw_shadow(Canvas& canvas, const Camera& camera, const Positions& shape, c
   }
 }
 
-/// What the pictures of a session show: its shapes, the goal and the way of the hands.
-/// One camera for the whole session: stills of several frames fit on each other.
-struct Subject {
-  explicit Subject(const SessionRecord& session) {
-    const std::size_t halfway = session.segment_frame(session.segments()) / 2;
-    for (const Positions* shape :
-         {&session.frames.front(), &session.frames[halfway], &session.frames.back(), &session.goal}) {
-      for (Index v = 0; v < shape->rows(); ++v) points.emplace_back(shape->row(v).transpose());
-      low = low.cwiseMin(shape->colwise().minCoeff().transpose());
-      high = high.cwiseMax(shape->colwise().maxCoeff().transpose());
-    }
-    const std::size_t release = session.segment_frame(session.segments());
-    for (std::size_t f = 0; f <= release; ++f) {
-      for (const Index vertex : session.grasp_vertices) points.emplace_back(session.frames[f].row(vertex).transpose());
-    }
-  }
-  std::vector<Vector3d> points;
-  Vector3d low = Vector3d::Constant(1e9), high = -low;  ///< box of the shapes
-};
-
 /// From what the camera looks at to the camera.
 Vector3d direction_of(View view) {
   if (view == View::top) return {0, -0.001, 1};
@@ -326,58 +335,75 @@ std::vector<unsigned char> pixels_of(const Canvas& canvas) {
   return pixels;
 }
 
-void write_png(const std::filesystem::path& file, const StillOptions& options,
-               const std::vector<unsigned char>& pixels) {
+}  // namespace
+
+/// What does not change from frame to frame.
+struct StillPainter::Scene {
+  Scene(const SessionRecord& of, const StillOptions& how)
+      : session(of),
+        options(how),
+        subject(of),
+        camera(subject.points, direction_of(how.view), how.width * kSamples, how.height * kSamples),
+        range_mm(how.distance && how.range_mm <= 0 ? round_range(of) : how.range_mm) {
+    for (std::size_t k = 0; k < of.obstacles.size(); ++k) obstacles.push_back(of.drawn_obstacle(k));
+    if (how.goal) goal = of.drawn_goal();
+  }
+  const SessionRecord& session;
+  StillOptions options;
+  still::Subject subject;
+  still::Camera camera;
+  double range_mm;
+  std::vector<Mesh> obstacles;
+  Mesh goal;  ///< empty if it is left out
+};
+
+StillPainter::StillPainter(const SessionRecord& session, const StillOptions& options)
+    : scene_(std::make_unique<const Scene>(session, options)) {}
+StillPainter::~StillPainter() = default;
+double StillPainter::range_mm() const { return scene_->range_mm; }
+const StillOptions& StillPainter::options() const { return scene_->options; }
+
+std::vector<unsigned char> StillPainter::draw(std::size_t frame) const {
+  const SessionRecord& session = scene_->session;
+  const StillOptions& options = scene_->options;
+  const Camera& camera = scene_->camera;
+  const Positions& shape = session.frames.at(frame);
+  Canvas canvas(options.width * kSamples, options.height * kSamples);
+  if (!options.transparent) {
+    std::fill(canvas.colour.begin(), canvas.colour.end(), Colour::Ones());
+    std::fill(canvas.covered.begin(), canvas.covered.end(), static_cast<unsigned char>(1));
+    draw_ground(canvas, camera, scene_->subject.low, scene_->subject.high);
+    draw_shadow(canvas, camera, shape, session.faces);
+  }
+  for (const Mesh& body : scene_->obstacles) {
+    draw_cloth(canvas, camera, Surface(body.positions, body.faces, camera),
+               [](Index, bool, double, double, double) { return rgb(0xb9b2a7); });
+  }
+  const Vector distances = options.distance ? session.vertex_distances_mm(shape) : Vector();
+  const Surface cloth(shape, session.faces, camera);
+  draw_cloth(canvas, camera, cloth, [&](Index f, bool front, double u, double v, double w) {
+    if (!options.distance) return rgb(front ? 0x4a8bc9 : 0xe5a13c);
+    const Faces& faces = session.faces;
+    return viridis((u * distances(faces(f, 0)) + v * distances(faces(f, 1)) + w * distances(faces(f, 2))) /
+                   scene_->range_mm);
+  });
+  if (options.edges) draw_edges(canvas, cloth);
+  if (options.goal) draw_goal(canvas, camera, Surface(scene_->goal.positions, scene_->goal.faces, camera));
+  if (options.paths) draw_paths(canvas, camera, session, frame);
+  return pixels_of(canvas);
+}
+
+void write_still(const std::filesystem::path& file, const StillPainter& painter, std::size_t frame) {
+  const std::vector<unsigned char> pixels = painter.draw(frame);
   png_image image{};
   image.version = PNG_IMAGE_VERSION;
-  image.width = static_cast<png_uint_32>(options.width);
-  image.height = static_cast<png_uint_32>(options.height);
+  image.width = static_cast<png_uint_32>(painter.options().width);
+  image.height = static_cast<png_uint_32>(painter.options().height);
   image.format = PNG_FORMAT_RGBA;
   WholeFile whole(file);
   if (png_image_write_to_file(&image, whole.temporary().c_str(), 0, pixels.data(), 0, nullptr) == 0)
     whole.fail(image.message);
   whole.commit();
-}
-
-}  // namespace
-
-double write_still(const std::filesystem::path& file, const SessionRecord& session, std::size_t frame,
-                   const StillOptions& options) {
-  const Positions& shape = session.frames.at(frame);
-  const Subject subject(session);
-  const int width = options.width * kSamples, height = options.height * kSamples;
-  const Camera camera(subject.points, direction_of(options.view), width, height);
-  Canvas canvas(width, height);
-  if (!options.transparent) {
-    std::fill(canvas.colour.begin(), canvas.colour.end(), Colour::Ones());
-    std::fill(canvas.covered.begin(), canvas.covered.end(), static_cast<unsigned char>(1));
-    draw_ground(canvas, camera, subject.low, subject.high);
-    draw_shadow(canvas, camera, shape, session.faces);
-  }
-
-  double range = options.range_mm;
-  if (options.distance && range <= 0) range = round_range(session);
-  const Vector distances = options.distance ? session.vertex_distances_mm(shape) : Vector();
-  for (std::size_t k = 0; k < session.obstacles.size(); ++k) {
-    const Mesh body = session.drawn_obstacle(k);
-    draw_cloth(canvas, camera, Surface(body.positions, body.faces, camera),
-               [](Index, bool, double, double, double) { return rgb(0xb9b2a7); });
-  }
-  const Surface cloth(shape, session.faces, camera);
-  draw_cloth(canvas, camera, cloth, [&](Index f, bool front, double u, double v, double w) {
-    if (!options.distance) return rgb(front ? 0x4a8bc9 : 0xe5a13c);
-    return viridis(
-        (u * distances(session.faces(f, 0)) + v * distances(session.faces(f, 1)) + w * distances(session.faces(f, 2))) /
-        range);
-  });
-  if (options.edges) draw_edges(canvas, cloth);
-  if (options.goal) {
-    const Mesh goal = session.drawn_goal();
-    draw_goal(canvas, camera, Surface(goal.positions, goal.faces, camera));
-  }
-  if (options.paths) draw_paths(canvas, camera, session, frame);
-  write_png(file, options, pixels_of(canvas));
-  return range;
 }
 
 }  // namespace weft::app

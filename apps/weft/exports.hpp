@@ -1,5 +1,7 @@
 #pragma once
 #include <filesystem>
+#include <functional>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -36,9 +38,37 @@ struct StillOptions {
   double range_mm = 0.0;     ///< end of the colour scale; 0: a round number that covers this session
   bool transparent = false;  ///< no background
 };
-/// Draws one frame, the same way as the page does, without a browser or a graphics card: same session, same picture.
-/// @return the end of the colour scale in mm, when colouring by distance. @throws Error.
-double write_still(const std::filesystem::path& file, const SessionRecord& session, std::size_t frame,
-                   const StillOptions& options);
+/// Draws frames of one session, the same way as the page does, without a browser or a graphics card: same session, same
+/// pictures. All of them share one camera and one colour scale.
+class StillPainter {
+ public:
+  /// @param session must outlive this object.
+  StillPainter(const SessionRecord& session, const StillOptions& options);
+  ~StillPainter();
+  StillPainter(const StillPainter&) = delete;
+  StillPainter& operator=(const StillPainter&) = delete;
+  /// @return [height, width, 4] red, green, blue, alpha; alpha is not multiplied into the colours.
+  std::vector<unsigned char> draw(std::size_t frame) const;
+  /// mm, the end of the colour scale of distances.
+  double range_mm() const;
+  const StillOptions& options() const;
+
+ private:
+  struct Scene;
+  std::unique_ptr<const Scene> scene_;
+};
+/// Writes one frame as PNG. @throws WriteError.
+void write_still(const std::filesystem::path& file, const StillPainter& painter, std::size_t frame);
+
+struct FilmOptions {
+  double frames_per_second = 30.0;  ///< (0, 60]
+  double pause_s = 2.0;             ///< how long the last frame stays at least
+  int quality = 100;                ///< [0, 100]; 100 loses nothing
+};
+/// An animated WebP that repeats without end.
+/// @param progress called before each frame with the number of those that are done; what it throws ends the work.
+/// @throws WriteError; Error if libwebp refuses. Nothing is written before the last frame is encoded.
+void export_webp(const std::filesystem::path& file, const StillPainter& painter, const std::vector<std::size_t>& frames,
+                 const FilmOptions& options, const std::function<void(std::size_t)>& progress);
 
 }  // namespace weft::app

@@ -31,7 +31,7 @@ TEST(Completion, OffersTheOptionsOfACommandAndTheirChoices) {
   EXPECT_THAT(offered("run task.yaml --"),
               AllOf(HasSubstr("[--set]"), HasSubstr("[--seed]"), Not(HasSubstr("[--to]"))));
   EXPECT_EQ(offered("describe --json-s"), "[--json-schema]");
-  EXPECT_EQ(offered("export results --to \"\""), "[gltf][usd][obj][csv][html]");
+  EXPECT_EQ(offered("export results --to \"\""), "[gltf][usd][obj][csv][html][webp]");
   EXPECT_EQ(offered("export results --to = g"), "[gltf]");  // bash makes three words of --to=g
   EXPECT_EQ(offered("completion z"), "[zsh]");
 }

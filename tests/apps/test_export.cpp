@@ -1,6 +1,7 @@
 // weft export: a session is run, written in every format, and each file is read back and compared with session.h5.
 #include <png.h>
 #include <tiny_gltf.h>
+#include <webp/demux.h>
 
 #include <Eigen/Geometry>
 #include <cmath>
@@ -20,6 +21,7 @@ namespace {
 namespace fs = std::filesystem;
 using test::Outcome;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 Outcome weft_command(const std::string& arguments) {
   return test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + arguments);
@@ -161,9 +163,10 @@ void check_gltf(const tinygltf::Model& model, const SessionRecord& session) {
 
 TEST_F(Export, AFileThatCannotBeWrittenWholeIsAnError) {
   // A limit on the size of files fails as a full disk does.
-  for (const char* name : {"full.glb", "full.gltf", "full.csv", "full.usda"}) {
+  for (const char* name : {"full.glb", "full.gltf", "full.csv", "full.usda", "full.webp"}) {
     const std::string to = std::string(name).ends_with("csv")    ? "csv"
                            : std::string(name).ends_with("usda") ? "usd"
+                           : std::string(name).ends_with("webp") ? "webp --size 480x300 --every 24"
                                                                  : "gltf";
     const Outcome limited =
         test::run_shell("unset WEFT_PLUGIN_PATH; ulimit -f 8; '" WEFT_PROGRAM "' export '" + run_folder().string() +
@@ -172,6 +175,8 @@ TEST_F(Export, AFileThatCannotBeWrittenWholeIsAnError) {
     EXPECT_THAT(limited.output, HasSubstr(name));
     EXPECT_FALSE(fs::is_regular_file(*folder_ / name)) << name;
   }
+  for (const auto& entry : fs::directory_iterator(*folder_ / "."))
+    EXPECT_THAT(entry.path().string(), Not(HasSubstr(".tmp")));
 }
 
 TEST_F(Export, GltfHoldsEveryExportedFrame) {
@@ -362,6 +367,119 @@ TEST_F(Export, StillsColourByDistanceAndLeaveOutTheBackground) {
   EXPECT_GT(picture.count([](int r, int g, int b, int a) { return a == 255 && g < 60 && b > r; }), 300);
 }
 
+struct Film {
+  std::vector<Picture> frames;
+  std::vector<int> ends_ms;  ///< when each frame gives way to the next one
+  unsigned loops = 1;
+};
+
+/// As libwebp's own decoder shows it.
+Film read_webp(const fs::path& file) {
+  const std::string bytes = read_text(file);
+  const WebPData data{reinterpret_cast<const std::uint8_t*>(bytes.data()), bytes.size()};
+  Film film;
+  const std::unique_ptr<WebPAnimDecoder, void (*)(WebPAnimDecoder*)> decoder(WebPAnimDecoderNew(&data, nullptr),
+                                                                             WebPAnimDecoderDelete);
+  WebPAnimInfo info{};
+  if (decoder == nullptr || WebPAnimDecoderGetInfo(decoder.get(), &info) == 0) {
+    ADD_FAILURE() << file << " is no animation";
+    return film;
+  }
+  film.loops = info.loop_count;
+  while (WebPAnimDecoderHasMoreFrames(decoder.get()) != 0) {
+    std::uint8_t* pixels = nullptr;
+    int end_ms = 0;
+    if (WebPAnimDecoderGetNext(decoder.get(), &pixels, &end_ms) == 0) {
+      ADD_FAILURE() << file << ": a frame cannot be decoded";
+      break;
+    }
+    Picture& frame = film.frames.emplace_back();
+    frame.width = info.canvas_width;
+    frame.height = info.canvas_height;
+    frame.rgba.assign(pixels, pixels + 4 * frame.width * frame.height);
+    film.ends_ms.push_back(end_ms);
+  }
+  return film;
+}
+
+/// Largest difference of a colour where both pictures are opaque.
+int largest_difference(const Picture& one, const Picture& other) {
+  EXPECT_EQ(one.rgba.size(), other.rgba.size());
+  int largest = 0;
+  for (std::size_t i = 0; i < std::min(one.rgba.size(), other.rgba.size()); ++i)
+    largest = std::max(largest, std::abs(one.rgba[i] - other.rgba[i]));
+  return largest;
+}
+
+TEST_F(Export, AnAnimationHoldsTheStillsOfItsFrames) {
+  const fs::path out = *folder_ / "film";
+  const std::string look = " --every 24 --size 320x200 --quiet --out '" + out.string() + "'";
+  ASSERT_EQ(export_command("--to webp --png all --fps 8 --pause 1.5" + look).code, 0);
+  const Film film = read_webp(out / "session.webp");
+  std::vector<fs::path> stills;
+  for (const auto& entry : fs::directory_iterator(out))
+    if (entry.path().extension() == ".png") stills.push_back(entry.path());
+  std::sort(stills.begin(), stills.end());
+  ASSERT_EQ(film.frames.size(), stills.size());
+  ASSERT_GT(stills.size(), 5u);
+  EXPECT_EQ(film.loops, 0u);  // without end
+  for (std::size_t k = 0; k < stills.size(); ++k) {
+    EXPECT_EQ(film.frames[k].width, 320);
+    EXPECT_EQ(film.frames[k].height, 200);
+    EXPECT_EQ(largest_difference(film.frames[k], read_png(stills[k])), 0) << stills[k];
+    const bool last = k + 1 == stills.size();
+    EXPECT_EQ(film.ends_ms[k], last ? 125 * static_cast<int>(k) + 1500 : 125 * static_cast<int>(k + 1));
+  }
+  // The same session gives the same bytes.
+  ASSERT_EQ(export_command("--to webp --every 24 --size 320x200 --fps 8 --pause 1.5 --quiet --out '" +
+                           (*folder_ / "again.webp").string() + "'")
+                .code,
+            0);
+  EXPECT_EQ(read_text(out / "session.webp"), read_text(*folder_ / "again.webp"));
+}
+
+TEST_F(Export, AnAnimationTakesAsLongAsTheFoldUnlessToldOtherwise) {
+  const fs::path file = *folder_ / "small.webp", exact = *folder_ / "exact.webp";
+  const std::string look = "--to webp --every 20 --size 160x100 --no-goal --quiet --out '";
+  ASSERT_EQ(export_command(look + exact.string() + "'").code, 0);
+  ASSERT_EQ(export_command(look + file.string() + "' --quality 60").code, 0);
+  const Film whole = read_webp(exact), small = read_webp(file);
+  ASSERT_GT(whole.frames.size(), 5u);
+  for (std::size_t k = 0; k + 1 < whole.frames.size(); ++k)
+    EXPECT_EQ(whole.ends_ms[k], std::lround(static_cast<double>(k + 1) * 1000.0 / 3.0));
+  EXPECT_EQ(whole.ends_ms.back() - whole.ends_ms[whole.ends_ms.size() - 2], 2000);
+  EXPECT_EQ(small.ends_ms, whole.ends_ms);
+  // Lossy: smaller, not the same, and still the same picture.
+  EXPECT_LT(fs::file_size(file), fs::file_size(exact));
+  EXPECT_GT(largest_difference(small.frames.back(), whole.frames.back()), 0);
+  EXPECT_NEAR(static_cast<double>(small.frames.back().orange()), static_cast<double>(whole.frames.back().orange()),
+              0.1 * static_cast<double>(whole.frames.back().orange()));
+}
+
+TEST_F(Export, AnAnimationCanHaveNoBackground) {
+  const fs::path file = *folder_ / "clear.webp";
+  ASSERT_EQ(export_command("--to webp --every 60 --size 160x100 --transparent --colour distance --range 400 --no-goal "
+                           "--no-paths --view top --quiet --out '" +
+                           file.string() + "'")
+                .code,
+            0);
+  for (const Picture& frame : read_webp(file).frames) {
+    EXPECT_GT(frame.count([](int, int, int, int a) { return a == 0; }), 2000);
+    EXPECT_GT(frame.count([](int r, int g, int b, int a) { return a == 255 && g < 60 && b > r; }), 50);
+  }
+}
+
+TEST_F(Export, AnAnimationThatIsStoppedLeavesNothing) {
+  const fs::path out = *folder_ / "stopped";  // made once signals are caught
+  const Outcome outcome = test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' export '" +
+                                          run_folder().string() + "' --to webp --every 1 --size 1200x750 --out '" +
+                                          (out / "film.webp").string() + "' & weft=$!\nuntil test -d '" + out.string() +
+                                          "' || ! kill -0 $weft; do sleep 0.02; done; kill -TERM $weft; wait $weft");
+  EXPECT_EQ(outcome.code, 1) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("film.webp was not written"));
+  EXPECT_TRUE(fs::is_empty(out));
+}
+
 TEST_F(Export, WrongUseAndDamagedFilesAreRefused) {
   const auto refused = [](const Outcome& outcome, const std::string& why) {
     EXPECT_EQ(outcome.code, 2) << outcome.output;
@@ -371,6 +489,12 @@ TEST_F(Export, WrongUseAndDamagedFilesAreRefused) {
   refused(export_command("--to step"), "step");
   refused(export_command("--png 100000"), "must be last, all, or a frame in [0, ");
   refused(export_command("--png 0 --size 5"), "must be WIDTHxHEIGHT");
+  refused(export_command("--to webp --fps 0"), "--fps: 0, must be in [0.1, 60]");
+  refused(export_command("--to webp --fps nan"), "--fps: nan, must be in [0.1, 60]");
+  refused(export_command("--to webp --pause 61"), "--pause: 61, must be in [0, 60]");
+  refused(export_command("--to webp --quality 101"), "--quality: 101, must be in [0, 100]");
+  refused(export_command("--to csv --fps 10"), "--fps, --pause and --quality are of animations");
+  EXPECT_FALSE(fs::exists(run_folder() / "session.webp"));
   const fs::path damaged = folder_->write("damaged.h5", read_text(run_folder() / "session.h5").substr(0, 3000));
   refused(weft_command("export '" + damaged.string() + "' --to obj"), "damaged.h5");
   auto other = Hdf5File::create(*folder_ / "other.h5");

@@ -46,7 +46,7 @@ endforeach()
 
 # The installed documents; the rest of this test builds the installed examples.
 set(documents ${WORK}/prefix/share/doc/weft)
-foreach(file README.md MIGRATION.md docs/write-a-plugin.md docs/images/fold.png plugins/trajectory/arc/README.md)
+foreach(file README.md MIGRATION.md docs/write-a-plugin.md docs/images/session.webp plugins/trajectory/arc/README.md)
   if(NOT EXISTS ${documents}/${file})
     message(FATAL_ERROR "${file} is not installed in ${documents}")
   endif()

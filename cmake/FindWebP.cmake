@@ -1,0 +1,20 @@
+# libwebp, which comes without a CMake package in Debian 12. Targets as in the package of its later versions:
+# WebP::webp, WebP::libwebpmux (writes animations), WebP::webpdemux (reads them).
+find_path(WebP_INCLUDE_DIR webp/mux.h)
+set(needed WebP_INCLUDE_DIR)
+foreach(library webp webpmux webpdemux)
+  find_library(WebP_${library} ${library})
+  list(APPEND needed WebP_${library})
+endforeach()
+mark_as_advanced(${needed})
+include(FindPackageHandleStandardArgs)
+find_package_handle_standard_args(WebP REQUIRED_VARS ${needed})
+if(WebP_FOUND AND NOT TARGET WebP::webp)
+  foreach(library webp webpmux webpdemux)
+    string(REPLACE webpmux libwebpmux target ${library})
+    add_library(WebP::${target} UNKNOWN IMPORTED)
+    set_target_properties(WebP::${target} PROPERTIES IMPORTED_LOCATION ${WebP_${library}}
+      INTERFACE_INCLUDE_DIRECTORIES ${WebP_INCLUDE_DIR})
+  endforeach()
+  set_property(TARGET WebP::libwebpmux WebP::webpdemux PROPERTY INTERFACE_LINK_LIBRARIES WebP::webp)
+endif()
