@@ -375,6 +375,28 @@ Outcome observer_stops_the_search(const Bench& bench) {
   return wrong.outcome();
 }
 
+Outcome an_unwanted_instance_ends_alone(const Bench& bench) {
+  const auto o = bench.make<Optimiser>();
+  Refusals wrong;
+  Search whole(*o, 2, rosenbrock, spread(2, 3)), shortened(*o, 2, rosenbrock, spread(2, 3));
+  for (Search* s : {&whole, &shortened}) s->options.max_iterations = 40;
+  const auto all = whole.run();
+  Index seen = 0;
+  shortened.options.wanted = [&](Index instance) {
+    if (instance < 0 || instance > 2) wrong.miss("it asks about instance " + std::to_string(instance) + " of 3");
+    return instance != 1 || seen < 4;
+  };
+  const auto results = shortened.run([&](Index, const Vector&) { return ++seen, true; });
+  for (const std::size_t i : {0, 2})
+    if (differing_results(results[i], all[i]) > 0) wrong.miss("instance " + std::to_string(i) + " changed");
+  if (results[1].evaluations > all[1].evaluations) wrong.miss("the unwanted instance evaluated more than before");
+  if (results[1].evaluations < all[1].evaluations && results[1].status != OptimiserStatus::stopped)
+    wrong.miss(std::string("the unwanted instance ended as ") + to_string(results[1].status));
+  const auto& [cost, x] = shortened.objective.best[1];
+  if (results[1].cost != cost || results[1].x != x) wrong.miss("its result is not its best point");
+  return wrong.outcome();
+}
+
 Outcome the_best_point_is_returned(const Bench& bench) {
   const auto o = bench.make<Optimiser>();
   double wrong = 0.0;
@@ -522,6 +544,9 @@ const std::vector<Law>& optimiser_laws() {
       {"observer_stops_the_search",
        "The observer gets falling best costs on the caller's thread, and false ends the search (violations).", 0,
        observer_stops_the_search},
+      {"an_unwanted_instance_ends_alone",
+       "An instance that is no longer wanted ends with its best point, or goes on, and changes no other (violations).",
+       0, an_unwanted_instance_ends_alone},
       {"the_best_point_is_returned", "x and cost are those of the best evaluation (instances that differ).", 0,
        the_best_point_is_returned},
       {"same_seed_same_bits", "Same seed, same bits, also from a second object (numbers that differ).", 0,

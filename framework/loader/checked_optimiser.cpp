@@ -78,7 +78,16 @@ class CheckedOptimiser final : public Optimiser {
         if (best_costs.hasNaN()) guard_.fail("a best cost that it reports is NaN");
         return call_back([&] { return observer(iteration, best_costs); });
       };
-      auto results = plugin_->minimise(watched, starts, bounds, scale, options, observer ? watching : nullptr);
+      OptimiserOptions asked = options;
+      if (options.wanted) {
+        asked.wanted = [&](Index instance) {
+          if (instance < 0 || instance >= starts.cols())
+            guard_.fail("it asks whether instance " + std::to_string(instance) + " is wanted, must be in [0, " +
+                        std::to_string(starts.cols() - 1) + "]");
+          return call_back([&] { return options.wanted(instance); });
+        };
+      }
+      auto results = plugin_->minimise(watched, starts, bounds, scale, asked, observer ? watching : nullptr);
       guard_.want_size("the list of results from minimise()", std::ssize(results), starts.cols());
       for (const auto& result : results) check(result, watched.dim(), bounds);
       return results;

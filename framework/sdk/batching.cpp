@@ -138,6 +138,9 @@ class Meeting {
           evaluate(asking);
           if (observer && !observer(round, best_costs()))
             for (auto& one : instances_) one->end(OptimiserStatus::stopped, "stopped by the observer");
+          for (auto* one : asking)
+            if (options_.wanted && !options_.wanted(one->number_))
+              one->end(OptimiserStatus::stopped, "not wanted any more");
         } catch (...) {
           error = std::current_exception();
         }

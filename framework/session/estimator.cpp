@@ -7,6 +7,7 @@
 #include <numbers>
 
 #include "loader/where.hpp"
+#include "session/halving.hpp"
 #include "session/instance_rows.hpp"
 #include "session/jvp.hpp"
 
@@ -395,8 +396,11 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   OptimiserOptions options;
   options.max_iterations = first ? params_.iterations : params_.later_iterations;
   options.seed = RandomStream(request.seed, stream_key("estopt"), static_cast<std::uint64_t>(request.round)).bits64();
-  const auto observer = [&](Index iteration, const Vector&) {
+  Halving halving(params_.instances, options.max_iterations, params_.halvings);
+  options.wanted = [&](Index instance) { return halving.wants(instance); };
+  const auto observer = [&](Index iteration, const Vector& best) {
     estimate.iterations = iteration;
+    halving.look(iteration, best);
     return !host_.cancelled();
   };
   const auto results = optimiser_->minimise(objective, starts, bounds, Vector::Ones(centre.size()), options, observer);

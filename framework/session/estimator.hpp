@@ -61,6 +61,7 @@ struct EstimatorParams {
   std::int64_t instances = 8;
   std::int64_t iterations = 40;
   std::int64_t later_iterations = 20;
+  std::int64_t halvings = 1;
   double noise = 0.2;
   double later_noise = 0.05;
   double width_prior = 0.02;
@@ -81,6 +82,8 @@ struct EstimatorParams {
     v("instances", instances, range(1, 4096), "Parallel searches; the one with the lowest residual loss wins.");
     v("iterations", iterations, range(0, 100000), "Optimiser iterations of the first estimate of a session.");
     v("later_iterations", later_iterations, range(0, 100000), "Optimiser iterations of later estimates.");
+    v("halvings", halvings, range(0, 30),
+      "How many times the worse half of the searches ends, after 1/2, 1/4, 1/8, ... of the iterations. 0: all go on to the end.");
     v("noise", noise, range(0, 10), "Gaussian noise on the starts of the first estimate.");
     v("later_noise", later_noise, range(0, 10), "The same for later estimates.");
     v("width_prior", width_prior, range(0, 10),

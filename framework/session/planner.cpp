@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "loader/where.hpp"
+#include "session/halving.hpp"
 #include "session/planning_objective.hpp"
 #include "session/shape_errors.hpp"
 #include "weft/config.hpp"
@@ -136,8 +137,11 @@ Plan Planner::plan(const PlanRequest& request) const {
   const bool is_replay = static_cast<std::size_t>(request.round) < params_.replay_iterations.size();
   if (params_.max_evaluations > 0) options.max_evaluations = params_.max_evaluations;
   const Index replayed = is_replay ? static_cast<Index>(params_.replay_iterations[request.round]) : 0;
+  Halving halving(params_.instances, std::min(options.max_iterations, options.max_evaluations), params_.halvings);
+  options.wanted = [&](Index instance) { return halving.wants(instance); };
   const auto observer = [&](Index iteration, const Vector& best) {
     plan.iterations = iteration;
+    halving.look(iteration, best);
     plan.curves.emplace_back(best.data(), best.data() + best.size());
     const bool in_time =
         is_replay ? iteration < replayed : params_.time_budget_s <= 0.0 || elapsed() < params_.time_budget_s;

@@ -16,6 +16,7 @@ namespace weft {
 struct PlannerParams {
   std::int64_t instances = 16;
   std::int64_t iterations = 80;
+  std::int64_t halvings = 3;
   bool replan = true;
   std::int64_t replan_iterations = 30;
   std::int64_t horizon = 25;
@@ -36,6 +37,8 @@ struct PlannerParams {
   void visit(Visitor& v) {
     v("instances", instances, range(1, 4096), "Parallel searches; the one with the lowest residual loss wins.");
     v("iterations", iterations, range(0, 100000), "Optimiser iterations of the first plan.");
+    v("halvings", halvings, range(0, 30),
+      "How many times the worse half of the searches ends, after 1/2, 1/4, 1/8, ... of the iterations. 0: all go on to the end.");
     v("replan", replan, "false: the first plan is executed to its end, whatever is observed (open loop).");
     v("replan_iterations", replan_iterations, range(0, 100000), "Optimiser iterations of every later plan.");
     v("horizon", horizon, range(1, 200, "segments"),

@@ -207,12 +207,27 @@ TEST(Planner, NoPlanIsLongerThanThePredictorTakes) {
 TEST(Planner, TheBestResidualLossWins) {
   Bench setup;
   setup.params.iterations = 5;
+  setup.params.halvings = 0;
   const Plan plan = setup.plan();
   ASSERT_EQ(plan.losses.size(), 4u);
   EXPECT_EQ(plan.ended.status, OptimiserStatus::budget_spent) << plan.ended.message;
   EXPECT_EQ(plan.ended.instances, (std::map<OptimiserStatus, Index>{{OptimiserStatus::budget_spent, 4}}));
   EXPECT_EQ(plan.loss, *std::min_element(plan.losses.begin(), plan.losses.end()));
   EXPECT_EQ(plan.loss, plan.losses[plan.instance]);
+}
+
+TEST(Planner, TheWorseHalfOfTheSearchesEndsEarly) {
+  Bench setup;
+  setup.params.iterations = 40;
+  setup.params.halvings = 0;
+  const Plan all = setup.plan();
+  setup.params.halvings = 2;
+  const Plan halved = setup.plan();
+  // Of four searches two end after 10 iterations and one of the others after 20. The one that is left is not disturbed.
+  EXPECT_EQ(halved.ended.instances,
+            (std::map<OptimiserStatus, Index>{{OptimiserStatus::budget_spent, 1}, {OptimiserStatus::stopped, 3}}));
+  EXPECT_LT(halved.evaluations, 0.6 * static_cast<double>(all.evaluations));
+  EXPECT_EQ(halved.loss, all.losses[halved.instance]);
 }
 
 TEST(Planner, StopsWhenThePlanIsStable) {

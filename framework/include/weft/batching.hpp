@@ -25,7 +25,7 @@ class PointwiseSearch {
   /// point or has ended. Then all points are evaluated in one batch.
   /// @param x [dim]. A non-finite point is not evaluated; its cost is +infinity.
   /// @return valid until the next call. Null when the search is over for this instance: its budget is spent, the
-  /// observer stopped the search, or an exception was thrown. Every later call also returns null; the solver should
+  /// observer stopped the search, it is not wanted any more, or an exception was thrown. Every later call also returns null; the solver should
   /// then return.
   virtual const PointValue* evaluate(ConstVec x, const EvaluationRequest& request) = 0;
   virtual bool over() const = 0;          ///< evaluate() would return null
@@ -56,7 +56,7 @@ using PointwiseSolver = std::function<SolverOutcome(PointwiseSearch& search, con
 /// objectives of planning and estimation keep the columns independent. Where a predictor's bits depend on the row, they
 /// pad the batch (predict_in_rows).
 ///
-/// Handled here: bounds (points are clamped), max_evaluations, the best point, the observer (after every batch) and
+/// Handled here: bounds (points are clamped), max_evaluations, the best point, the observer (after every batch), OptimiserOptions::wanted and
 /// exceptions. An exception of the objective, the observer or a solver ends all instances and is rethrown here; if
 /// several solvers throw, that of the lowest instance. The solver handles max_iterations.
 ///

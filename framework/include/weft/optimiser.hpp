@@ -48,6 +48,10 @@ struct OptimiserOptions {
   /// Points evaluated per instance, with or without gradient.
   Index max_evaluations = std::numeric_limits<Index>::max();
   std::uint64_t seed = 0;  ///< for stochastic solvers
+  /// Whether an instance shall go on; null: all shall. Asked after the observer, on the thread that called minimise(). An
+  /// instance that shall not ends as `stopped` with its best point, and no other changes by that. A solver may ignore this:
+  /// it then costs more, and its results are as good.
+  std::function<bool(Index instance)> wanted;
 };
 
 /// Why a search ended.
@@ -85,7 +89,7 @@ struct OptimiserCapabilities {
 class WEFT_API Optimiser {
  public:
   static constexpr const char* kKind = "optimiser";
-  static constexpr int kVersion = 2;  // bump on any change to this class or the types above
+  static constexpr int kVersion = 3;  // bump on any change to this class or the types above
   static constexpr TypeSize kCrossing[] = {{"ObjectiveCapabilities", sizeof(ObjectiveCapabilities)},
                                            {"EvaluationRequest", sizeof(EvaluationRequest)},
                                            {"Evaluation", sizeof(Evaluation)},

@@ -179,6 +179,9 @@ std::vector<OptimiserResult> Mppi::minimise(Objective& objective, ConstMatrix st
     if (observer && !observer(iteration, best_costs))
       for (auto& it : all)
         if (it.running) it.stop(OptimiserStatus::stopped, "stopped by the observer");
+    for (Index i : active)
+      if (options.wanted && all[i].running && !options.wanted(i))
+        all[i].stop(OptimiserStatus::stopped, "not wanted any more");
   }
 
   std::vector<OptimiserResult> results;

@@ -151,6 +151,9 @@ std::vector<OptimiserResult> Rprop::minimise(Objective& objective, ConstMatrix s
       for (auto& it : all)
         if (it.running) it.stop(OptimiserStatus::stopped, "stopped by the observer");
     }
+    for (Index i : active)
+      if (options.wanted && all[i].running && !options.wanted(i))
+        all[i].stop(OptimiserStatus::stopped, "not wanted any more");
   }
 
   std::vector<OptimiserResult> results;

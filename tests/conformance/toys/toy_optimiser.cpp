@@ -179,6 +179,12 @@ class ToyOptimiser final : public Optimiser {
         }
         break;
       }
+      for (std::size_t i = 0; i < all.size(); ++i) {
+        if (!options.wanted || !all[i].running || options.wanted(static_cast<Index>(i))) continue;
+        all[i].running = false;
+        results[i].status = OptimiserStatus::stopped;
+        if (is("an_unwanted_instance_ends_alone")) all[0].running = false;
+      }
     }
     for (std::size_t i = 0; i < all.size(); ++i) {
       if (all[i].running) results[i].status = OptimiserStatus::budget_spent;
