@@ -49,16 +49,6 @@ std::vector<Identity> recorded_in(const std::filesystem::path& folder) {
   return {};
 }
 
-/// What child processes need to make examples.
-std::function<std::string(std::int64_t)> example_requests(const Prepared<ExperimentParams>& given) {
-  std::string request = nlohmann::ordered_json{{"kind", "example"},
-                                               {"config", located_json(given.config)},
-                                               {"plugin_path", searched_folders(*given.registry)}}
-                            .dump(-1, ' ', true, nlohmann::ordered_json::error_handler_t::replace);
-  request.back() = ',';  // the closing brace comes after the index
-  return [request](std::int64_t index) { return request + "\"index\":" + std::to_string(index) + "}"; };
-}
-
 constexpr const char* kLabel = "generate";
 
 /// The files of a dataset as work for a cluster.
@@ -153,7 +143,7 @@ int make_examples(Context& context, const GenerateCall& call, GenerateReport* ma
               std::to_string(given.task.garment->vertex_count()) + " vertices), seed " + std::to_string(given.seed) +
               ", " + std::to_string(given.host->threads()) + " threads");
   options.worker = work.worker();
-  options.request = example_requests(given);
+  options.request = example_requests(given.config, searched_folders(*given.registry));
   options.retry = work.retry();
   options.fail_fast = work.fail_fast;
   options.is_share = work.share;

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "commands.hpp"
+#include "experiments/benchmark/measure.hpp"
 #include "experiments/cell_work.hpp"
 #include "experiments/evaluation_work.hpp"
 #include "experiments/experiment_config.hpp"
@@ -58,7 +59,7 @@ class ExampleServer {
   std::shared_ptr<Simulator> simulator_;
 };
 
-/// A process that ablate, evaluate and generate start for their cells and examples.
+/// A process that ablate, evaluate, generate and benchmark start for their cells, examples and rows.
 int work() {
   install_crash_report(kCrashReportFile, write_where);
   CellServer cells(&worker_cancelled);
@@ -77,6 +78,7 @@ int work() {
         const auto request = nlohmann::ordered_json::parse(text);
         const auto kind = request.at("kind").get<std::string>();
         if (EvaluationServer::knows(kind)) return evaluations.answer(text);
+        if (benchmark::knows(kind)) return benchmark::answer(text, &worker_cancelled);
         return kind == "example" ? examples.answer(request) : cells.answer(text);
       },
       worker_cancelled);

@@ -17,6 +17,7 @@ void register_calibrate(CLI::App& app, Context& context);
 void register_learn(CLI::App& app, Context& context);
 void register_evaluate(CLI::App& app, Context& context);
 void register_ablate(CLI::App& app, Context& context);
+void register_benchmark(CLI::App& app, Context& context);
 void register_status(CLI::App& app, Context& context);
 void register_cancel(CLI::App& app, Context& context);
 void register_export(CLI::App& app, Context& context);

@@ -62,6 +62,7 @@ int main(int argc, char** argv) {
   register_learn(app, context);
   register_evaluate(app, context);
   register_ablate(app, context);
+  register_benchmark(app, context);
   register_status(app, context);
   register_cancel(app, context);
   register_export(app, context);

@@ -1,5 +1,7 @@
 #pragma once
+#include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <string>
 
@@ -25,6 +27,10 @@ std::string cell_request(const CellWork& work, const ConfigNode& cell, const Plu
 /// is never freed, because the type of an exception may live in a plugin.
 std::string searched_folders(const PluginRegistry& registry);
 std::shared_ptr<const PluginRegistry> registry_of_request(const std::string& folders);
+
+/// What child processes need to make examples: the request for one, by its index.
+/// @param config with the keys of ExperimentParams. @param folders from searched_folders().
+std::function<std::string(std::int64_t index)> example_requests(const ConfigNode& config, const std::string& folders);
 
 /// Reads what a child answered, or how it ended, into a row's status, failure and outcome.
 /// @throws WriteError if the cell was run, but its shapes could not be written: that is not the cell's failure.

@@ -119,6 +119,24 @@ std::optional<std::int64_t> slurm_number(const char* name) {
 
 }  // namespace
 
+std::string processor_name() {
+  constexpr std::pair<const char*, const char*> kSets[] = {
+      {"avx2", "AVX2"}, {"avx512f", "AVX-512"}, {"avx512_bf16", "AVX-512 BF16"}, {"amx_bf16", "AMX BF16"}};
+  std::string name = "a processor without a name", sets;
+  std::ifstream file("/proc/cpuinfo");
+  for (std::string line; std::getline(file, line) && !line.empty();) {  // the first processor's
+    const auto colon = line.find(": ");
+    if (colon == std::string::npos) continue;
+    const std::string value = line.substr(colon + 2);
+    if (line.starts_with("model name")) name = value;
+    if (!line.starts_with("flags")) continue;
+    for (const auto& [flag, set] : kSets)
+      if ((" " + value + " ").find(std::string(" ") + flag + " ") != std::string::npos)
+        sets += (sets.empty() ? "" : ", ") + std::string(set);
+  }
+  return sets.empty() ? name : name + " (" + sets + ")";
+}
+
 std::optional<int> processors_of_slurm() {
   constexpr std::int64_t kMost = 1 << 20;
   for (const char* name : {"SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE"})

@@ -2,12 +2,16 @@
 #include <cstdint>
 #include <filesystem>
 #include <optional>
+#include <string>
 
 namespace weft {
 
 /// Processors that this program may use, at least 1: those of its affinity mask (taskset, cpusets), and no more than its
 /// control groups' quota of CPU time allows, rounded up (containers, systemd), and than Slurm gave to it.
 int allowed_processors();
+
+/// The processor of this machine and what of its instruction set decides weft's speed: "Intel(R) Xeon(R) ... (AVX2, AVX-512)".
+std::string processor_name();
 
 /// What Slurm gave to the task that this program runs in: SLURM_CPUS_PER_TASK, or SLURM_CPUS_ON_NODE without it. nullopt: it
 /// does not run in a job of Slurm.

@@ -1,11 +1,11 @@
 // The cloth simulator through the default fold of the T-shirt task, released and settled, at several mesh sizes; sheets
-// of three fabrics lifted and dropped, coarse and fine; many folds at once; and, where Bullet is installed, its stock position-based soft body on the same mesh and path.
+// of three fabrics lifted and dropped, coarse and fine; and, where Bullet is installed, its stock position-based soft body on
+// the same mesh and path. `weft benchmark` has the frames of other motions and sizes, and folds at once.
 // Times are the thread's CPU time unless the name says real_time, so that other programs disturb them little.
 #include <benchmark/benchmark.h>
 
 #include <cmath>
 #include <map>
-#include <thread>
 
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
@@ -145,18 +145,6 @@ void sheet(benchmark::State& state) {
   state.SetLabel(name);
 }
 BENCHMARK(sheet)->ArgsProduct({{20, 10, 5}, {0, 1, 2}})->Unit(benchmark::kMillisecond);
-
-/// A fold per thread, each in an object of its own. Items: folds.
-void folds_at_once(benchmark::State& state) {
-  const Task& task = task_of(0);
-  for (auto _ : state) {
-    const auto simulator = make_simulator();
-    benchmark::DoNotOptimize(
-        simulate_fold(*simulator, task, MaterialProperties::Constant(0.5), task.trajectory->default_controls(25)));
-  }
-  state.SetItemsProcessed(state.iterations());
-}
-BENCHMARK(folds_at_once)->ThreadRange(1, static_cast<int>(std::thread::hardware_concurrency()))->UseRealTime();
 
 #ifdef WEFT_BENCH_BULLET
 /// btSoftBody as it comes: 4 substeps of 5 iterations, links and bending links, a box as ground, no self-collision.

@@ -1,5 +1,5 @@
 // The learned predictor on the T-shirt at planning's batch: 16 instances, 25 segments, the last shape, and its
-// gradient.
+// gradient, with threads and for estimation; what searches add. `weft benchmark planning` has other sizes.
 #include <benchmark/benchmark.h>
 
 #include <chrono>
@@ -8,7 +8,6 @@
 
 #include "loader/program_host.hpp"
 #include "loader/registry.hpp"
-#include "meshes/mesher.hpp"
 #include "predictor/emd/emd.hpp"
 #include "trajectory/arc/arc.cpp"
 #include "weft/batching.hpp"
@@ -18,9 +17,9 @@ namespace {
 using namespace weft;
 
 struct Bench {
-  explicit Bench(int threads, Index instances, Index segments, bool every_shape, std::int64_t edge_um = 0)
+  explicit Bench(int threads, Index instances, Index segments, bool every_shape)
       : host(make_host(std::make_shared<PluginRegistry>(), {.threads = threads})), predictor(untrained(), *host) {
-    task.garment = std::make_shared<const Garment>(garment(edge_um));
+    task.garment = std::make_shared<const Garment>(garment());
     task.trajectory = std::make_shared<const arc::Arc>(arc::Params{});
     task.material.ranges = {{{0.2, 0.9, false}, {0.5, 2.0, true}, {0.5, 2.0, true}, {0.001, 0.002, false}}};
     task.manipulation.grasp_vertices = {0, 1};
@@ -38,13 +37,9 @@ struct Bench {
       cases.push_back(std::move(one));
     }
   }
-  /// The T-shirt that ships, or the same outline with edges of that length.
-  static Garment garment(std::int64_t edge_um) {
-    if (edge_um == 0)
-      return read_garment(ConfigNode::parse(
-          std::string("{mesh: ") + WEFT_SOURCE_DIR "/configs/garments/tshirt.obj, name: tshirt}", "bench"));
-    return make_garment(generate_mesh(shirt_outline({}), {.edge_m = 1e-6 * static_cast<double>(edge_um)}).mesh,
-                        "shirt");
+  static Garment garment() {
+    return read_garment(ConfigNode::parse(
+        std::string("{mesh: ") + WEFT_SOURCE_DIR "/configs/garments/tshirt.obj, name: tshirt}", "bench"));
   }
   static emd::Params untrained() {
     emd::Params params;
@@ -75,24 +70,8 @@ BENCHMARK(predict_and_pullback)
     ->Args({1, 16, 25, 0})
     ->Args({2, 16, 25, 0})
     ->Args({1, 16, 8, 1})
-    ->Args({1, 1, 25, 0})
-    ->Args({1, 64, 25, 0})
     ->Unit(benchmark::kMillisecond)
     ->UseRealTime();
-
-/// The same on one thread, by instances, segments and vertices around planning's 16, 25 and the T-shirt.
-/// Arguments: instances, segments, edge length in um of a shirt (0: the T-shirt that ships).
-void cost(benchmark::State& state) {
-  Bench bench(1, state.range(0), state.range(1), false, state.range(2));
-  for (auto _ : state) bench.predict_and_pull();
-  state.counters["vertices"] = static_cast<double>(bench.task.garment->vertex_count());
-}
-BENCHMARK(cost)
-    ->ArgNames({"instances", "segments", "edge_um"})
-    ->ArgsProduct({{1, 4, 16, 64}, {25}, {0}})
-    ->ArgsProduct({{16}, {5, 10, 40}, {0}})
-    ->ArgsProduct({{16}, {25}, {40000, 20000, 10000, 5000}})
-    ->Unit(benchmark::kMillisecond);
 
 /// Planning's gradient on one thread. Argument: 1: with state and shape gradients, which planning does not ask for.
 void unasked_gradients(benchmark::State& state) {
