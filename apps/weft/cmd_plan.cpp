@@ -1,3 +1,4 @@
+#include <cmath>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
@@ -43,6 +44,7 @@ ordered_json to_json(const LonePlan& lone) {
           {"ended", to_json(plan.ended)},
           {"iterations", plan.iterations},
           {"evaluations", plan.evaluations},
+          {"correction", lone.correction ? to_json(*lone.correction, 0) : ordered_json()},
           {"knowledge", {{"centre", to_list(lone.knowledge.centre)}, {"width", to_list(lone.knowledge.width)}}},
           {"controls", to_json(plan.controls)}};
 }
@@ -62,7 +64,10 @@ ordered_json to_json(const LoneEstimates& lone) {
           {"estimates", list}};
 }
 
-ordered_json times_of(const LonePlan& lone) { return {{"plan_seconds", lone.plan.seconds}}; }
+ordered_json times_of(const LonePlan& lone) {
+  return {{"plan_seconds", lone.plan.seconds},
+          {"plan_and_correction_seconds", lone.correction ? ordered_json(lone.correction->seconds) : ordered_json()}};
+}
 ordered_json times_of(const LoneEstimates& lone) {
   auto list = ordered_json::array();
   for (const Estimate& one : lone.estimates) list.push_back({{"estimate_seconds", one.seconds}});
@@ -105,10 +110,14 @@ int run_alone(Context& context, const Options& options, const std::string& name,
 int plan(Context& context, const Options& options) {
   return run_alone(context, options, "plan", [&](const Prepared<SessionParams>& given, const SessionRecord* recorded) {
     const LonePlan lone = plan_alone(given.params, given.config, recorded, options.segment, *given.host);
-    char line[160];
-    std::snprintf(line, sizeof(line), "plan of %td segments%s, predicted error %.1f mm, %.2f s",
+    char line[200], corrected[80] = "";
+    if (lone.correction && std::isfinite(lone.correction->forecast_mm))
+      std::snprintf(corrected, sizeof(corrected), ", corrected from %.1f mm, %zu simulated",
+                    lone.correction->forecast_mm, lone.correction->steps.size());
+    std::snprintf(line, sizeof(line), "plan of %td segments%s, predicted error %.1f mm%s, %.2f s",
                   lone.plan.controls.rows(), lone.plan.releases ? "" : " (no release yet)",
-                  lone.plan.predicted_error_mm, lone.plan.seconds);
+                  lone.plan.predicted_error_mm, corrected,
+                  lone.correction ? lone.correction->seconds : lone.plan.seconds);
     context.say(line);
     return lone;
   });

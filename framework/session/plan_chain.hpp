@@ -3,6 +3,7 @@
 #include <future>
 #include <limits>
 #include <memory>
+#include <nlohmann/json_fwd.hpp>
 #include <optional>
 #include <vector>
 
@@ -22,6 +23,8 @@ struct CorrectionRecord {
   double seconds = 0.0;  ///< wall time, the plans of the network included
   bool dropped = false;  ///< it took longer than the budget; the plan before it stayed in force
 };
+/// An entry of `corrections` (docs/file-formats.md). @param in_force the first segment of the plan that it made.
+nlohmann::ordered_json to_json(const CorrectionRecord& record, Index in_force);
 
 /// What a trial teaches the next one on the same cloth: iterative learning control [Arimoto, Kawamura & Miyazaki 1984,
 /// "Bettering operation of robots by learning"] with the simulator as model.

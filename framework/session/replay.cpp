@@ -1,6 +1,9 @@
 #include "session/replay.hpp"
 
+#include <tuple>
+
 #include "session/estimate_chain.hpp"
+#include "session/plan_chain.hpp"
 #include "session/sequence.hpp"
 #include "simulation/fold.hpp"
 #include "simulation/hand_limits.hpp"
@@ -71,9 +74,16 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
   if (result.goal.rows() > 0) request.goal = std::make_shared<const Positions>(result.goal);
   result.knowledge = request.knowledge;
   request.counts = goal.counts;
-  const Planner planner(task, bound_predictor(place(origin, "predictor"), task, host),
-                        host.create<Optimiser>(params.optimiser), planning_for(params.planning, goal), host);
-  result.plan = planner.plan(request);
+  const auto planner = std::make_shared<const Planner>(task, bound_predictor(place(origin, "predictor"), task, host),
+                                                       host.create<Optimiser>(params.optimiser),
+                                                       planning_for(params.planning, goal), host);
+  if (params.correction.simulations == 0 || request.round > 0) {
+    result.plan = planner->plan(request);
+    return result;
+  }
+  PlanChain plans(planner, std::make_shared<const Twin>(task, params.correction.simulator, host), params.correction,
+                  host);
+  std::tie(result.plan, result.correction) = plans.first(request);
   return result;
 }
 

@@ -251,26 +251,6 @@ nlohmann::ordered_json number(double value) {
   return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json();
 }
 
-/// @param in_force the first segment of the plan that it made.
-nlohmann::ordered_json correction_json(const CorrectionRecord& record, std::size_t in_force) {
-  auto steps = nlohmann::ordered_json::array();
-  for (const auto& step : record.steps) {
-    steps.push_back({{"release", step.release},
-                     {"found", step.is_candidate ? "candidate" : "search"},
-                     {"radius", step.radius},
-                     {"expected_mm2", number(step.expected)},
-                     {"loss_mm2", number(step.loss)},
-                     {"error_mm", number(step.error_mm)},
-                     {"best", step.best}});
-  }
-  return {{"started", record.started},
-          {"in_force", in_force},
-          {"dropped", record.dropped},
-          {"forecast_mm", number(record.forecast_mm)},
-          {"corrected_mm", number(record.corrected_mm)},
-          {"simulations", steps}};
-}
-
 nlohmann::ordered_json trials_json(const std::vector<TrialRecord>& trials) {
   auto list = nlohmann::ordered_json::array();
   for (const auto& trial : trials)
@@ -292,6 +272,25 @@ Garment drawn_garment(const SessionRecord& session) {
 }
 
 }  // namespace
+
+nlohmann::ordered_json to_json(const CorrectionRecord& record, Index in_force) {
+  auto steps = nlohmann::ordered_json::array();
+  for (const auto& step : record.steps) {
+    steps.push_back({{"release", step.release},
+                     {"found", step.is_candidate ? "candidate" : "search"},
+                     {"radius", step.radius},
+                     {"expected_mm2", number(step.expected)},
+                     {"loss_mm2", number(step.loss)},
+                     {"error_mm", number(step.error_mm)},
+                     {"best", step.best}});
+  }
+  return {{"started", record.started},
+          {"in_force", in_force},
+          {"dropped", record.dropped},
+          {"forecast_mm", number(record.forecast_mm)},
+          {"corrected_mm", number(record.corrected_mm)},
+          {"simulations", steps}};
+}
 
 double SessionRecord::goal_distance_mm(const Positions& shape) const {
   if (has_correspondence) return mean_distance_mm(shape, goal, goal_counts);
@@ -376,7 +375,7 @@ std::string session_summary_json(const SessionResult& result) {
   summary["predicted_error_mm"] = predicted;
   auto corrections = ordered_json::array();
   for (std::size_t j = 0; j < result.rounds.size(); ++j) {
-    if (const auto& done = result.rounds[j].correction) corrections.push_back(correction_json(*done, j));
+    if (const auto& done = result.rounds[j].correction) corrections.push_back(to_json(*done, static_cast<Index>(j)));
   }
   if (!corrections.empty()) summary["corrections"] = corrections;
   auto estimate_ended = ordered_json::array();

@@ -16,6 +16,7 @@ namespace {
 using test::Folder;
 using test::Outcome;
 using ::testing::AllOf;
+using ::testing::ContainsRegex;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::MatchesRegex;
@@ -413,6 +414,30 @@ TEST(Program, ThreadsAreThoseOfTheProcessorsItMayUse) {
       task.string() + "' --out '" + (folder / "out").string() + "'");
   ASSERT_EQ(run.code, 0) << run.output;
   EXPECT_THAT(run.output, HasSubstr(", 1 thread\n"));
+}
+
+TEST(Program, ThePlanAloneIsCorrectedAsTheSessionsFirst) {
+  const Folder folder;
+  const auto task =
+      folder.write("task.yaml", kTowelTask +
+                                    "planning: {instances: 1, iterations: 2, replan_iterations: 0, horizon: 8}\n"
+                                    "knowledge: \"true\"\n"
+                                    "correction: {simulations: 3, later_simulations: 0}\n"
+                                    "seed: 12\n");
+  for (const std::string command : {"run", "plan"}) {
+    const Outcome outcome =
+        weft_command(command + " '" + task.string() + "' --out '" + (folder / command).string() + "'");
+    ASSERT_EQ(outcome.code, 0) << outcome.output;
+    EXPECT_THAT(outcome.output, ContainsRegex("corrected from [0-9.]+ mm, 3 simulated"));
+  }
+  const auto plan = nlohmann::json::parse(text_of(folder / "plan/plan.json"));
+  const auto summary = nlohmann::json::parse(text_of(folder / "run/summary.json"));
+  EXPECT_EQ(plan["correction"], summary["corrections"][0]);
+  EXPECT_EQ(plan["predicted_error_mm"], plan["correction"]["corrected_mm"]);
+  std::vector<double> controls;
+  for (const auto& row : plan["controls"])
+    for (const double value : row) controls.push_back(value);
+  EXPECT_EQ(controls, Hdf5File::open(folder / "run/session.h5").read("/rounds/000/controls"));
 }
 
 TEST(Program, PlanAndEstimateAloneDoWhatTheSessionDid) {
