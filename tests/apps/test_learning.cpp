@@ -17,6 +17,7 @@ namespace {
 using test::Folder;
 using test::Outcome;
 using ::testing::AllOf;
+using ::testing::ContainsRegex;
 using ::testing::HasSubstr;
 using ::testing::Not;
 
@@ -246,7 +247,8 @@ TEST_F(Ranks, OnOneMachineAndUnderLaunchersGiveTheBytesOfOneProcess) {
   ASSERT_EQ(weft_command(train("alone")).code, 0);
   const Outcome four = weft_command(train("four") + " --ranks 4");
   expect_equal("four", four);
-  EXPECT_THAT(four.output, HasSubstr("4 ranks"));
+  EXPECT_THAT(four.output, AllOf(HasSubstr("4 ranks"), HasSubstr("emd: rank 0 of 4 sent "),
+                                 ContainsRegex("an exchange of the gradient took [0-9.]+ ms")));
   const Outcome wrong = weft_command(train("wrong") + " --ranks 3");
   EXPECT_EQ(wrong.code, 2);
   EXPECT_THAT(wrong.output, HasSubstr("divides a batch into 4 parts, which 3 ranks cannot share equally"));

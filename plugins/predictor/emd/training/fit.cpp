@@ -152,6 +152,14 @@ class Fit {
     job_.report.finished = from_first.kind == Order::finished;
   }
 
+  /// Of an exchange of the gradient with the other ranks, in the median; 0 without any.
+  double exchange_seconds() {
+    if (exchange_s_.empty()) return 0.0;
+    const auto middle = exchange_s_.begin() + static_cast<std::ptrdiff_t>(exchange_s_.size() / 2);
+    std::nth_element(exchange_s_.begin(), middle, exchange_s_.end());
+    return *middle;
+  }
+
  private:
   void order(Order::Kind kind) {
     Order told{kind, state_.rate, state_.time_used};
@@ -172,7 +180,9 @@ class Fit {
       throw Error("emd: the training loss is not finite after " + std::to_string(state_.iteration) +
                   " iterations; lower training.rate");
     }
+    const auto begun = Clock::now();  // mean_loss() has waited for all ranks
     const auto direction = sum_.join(gradient_.parts());
+    if (ranks_.size() > 1) exchange_s_.push_back(static_cast<float>(seconds_since(begun)));
     state_.loss_sum += loss;
     ++state_.loss_count;
     optimiser_.step(direction, state_);
@@ -329,6 +339,7 @@ class Fit {
   Optimiser optimiser_;
   std::optional<Validation> validation_;  // of rank 0
   bool is_stop_wanted_ = false;           // by any rank
+  std::vector<float> exchange_s_;         // of each iteration
   std::int64_t first_iteration_;
   double earlier_seconds_;  ///< of the processes before this one
   Clock::time_point started_, last_report_ = Clock::now();
@@ -373,9 +384,10 @@ void fit(FitJob& job) {
   else
     fit.follow();
   if (const auto done = job.report.iterations; ranks.size() > 1 && done > 0) {
-    char line[120];
-    std::snprintf(line, sizeof(line), "emd: rank %zu of %zu sent %.3f MB in all", ranks.rank(), ranks.size(),
-                  static_cast<double>(ranks.bytes_sent()) / 1e6);
+    char line[160];
+    std::snprintf(line, sizeof(line),
+                  "emd: rank %zu of %zu sent %.3f MB in all; an exchange of the gradient took %.2f ms", ranks.rank(),
+                  ranks.size(), static_cast<double>(ranks.bytes_sent()) / 1e6, 1e3 * fit.exchange_seconds());
     job.host.log(LogLevel::info, line);
   }
 }
