@@ -105,6 +105,20 @@ int follow(const Context& context, const Submission& submission, const Slurm& sl
   return states.is_done() ? 0 : 1;
 }
 
+/// Whether jobs that are in the queue were submitted with the profile of this call, as far as its name and their script tell
+/// it. Its `tasks` are not seen there.
+bool has_profile_of(const Submission& submission, const Submission& call) {
+  if (submission.profile_name != call.profile_name) return false;
+  if (submission.submitted_as != call.work.results) return true;  // by another path, so the whole script differs
+  JobScripts wanted = call.scripts;
+  wanted.working_folder = submission.scripts.working_folder;
+  wanted.default_program = submission.scripts.default_program;
+  const JobKind kind = submission.tasks > 0 ? JobKind::task : JobKind::merge;
+  std::ifstream stream(submission.scripts.folder / JobScripts::file_name(kind), std::ios::binary);
+  const std::string text{std::istreambuf_iterator<char>(stream), {}};
+  return text.empty() || text == wanted.text(kind, submission.tasks);
+}
+
 fs::path plan_file(const fs::path& results, const std::string& label) {
   return cluster_folder(results) / label / "identity.json";
 }
@@ -150,6 +164,7 @@ int run_on_cluster(const Context& context, const ClusterOptions& options, Cluste
   }
   const Slurm slurm;
   Context::catch_signals();
+  const Submission call = submission;
   const SubmitEnd end = submit(submission, slurm, prepare, context.cancel_flag());
   const std::string folder = submission.work.results.string();
   if (end == SubmitEnd::nothing_left) {
@@ -160,6 +175,12 @@ int run_on_cluster(const Context& context, const ClusterOptions& options, Cluste
   for (const auto& id : submission.ids()) ids += (ids.empty() ? "" : ", ") + id;
   context.say((end == SubmitEnd::followed ? "the jobs are in the queue already: " : "submitted jobs ") + ids +
               "; scripts and logs in " + submission.scripts.folder.string());
+  if (end == SubmitEnd::followed && !has_profile_of(submission, call)) {
+    context.complain(
+        "the jobs keep what they were submitted with, " +
+        (submission.profile_name.empty() ? "the default profile" : "the profile " + submission.profile_name) +
+        " as it was then; to change it, run `weft cancel " + folder + "` and this command again");
+  }
   if (options.detach) {
     context.say("`weft status " + folder + "` shows them, `weft cancel " + folder + "` ends them");
     return 0;

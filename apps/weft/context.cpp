@@ -8,6 +8,7 @@
 #include <cerrno>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <iostream>
 
@@ -19,16 +20,22 @@ namespace {
 
 std::atomic<bool> interrupted = false, terminated = false;  // set in a signal handler: must be lock-free
 static_assert(std::atomic<bool>::is_always_lock_free);
+bool is_slurm_job = false;            // set before there is a handler
 std::ostream* kept_output = nullptr;  // null: stdout as it is
 
 /// ^C; what Slurm, docker and `timeout` send; the end of a terminal or of a connection.
 constexpr int kStopSignals[] = {SIGINT, SIGTERM, SIGHUP};
 
-/// Answers at once: what is being done may take a while to end.
+/// Answers at once: what is being done may take a while to end. A job of Slurm that is cancelled gets SIGTERM from slurmd, and
+/// from its script, which is asked as well: that is one wish to end, not two.
 void stop(int signal) {
-  constexpr char kAnswer[] = "stopping; ^C or SIGTERM once more ends weft at once\n";
-  interrupted = true;
+  constexpr char kAnswer[] = "stopping; ^C or SIGTERM once more ends weft at once\n", kJobAnswer[] = "stopping\n";
+  const bool is_first = !interrupted.exchange(true);
   if (signal == SIGTERM) terminated = true;
+  if (signal == SIGTERM && is_slurm_job) {
+    [[maybe_unused]] const auto written = is_first ? write(STDERR_FILENO, kJobAnswer, sizeof(kJobAnswer) - 1) : 0;
+    return;
+  }
   [[maybe_unused]] const auto written = write(STDERR_FILENO, kAnswer, sizeof(kAnswer) - 1);
   for (const int one : kStopSignals) std::signal(one, SIG_DFL);
 }
@@ -71,6 +78,7 @@ std::unique_ptr<Host> Context::host(std::shared_ptr<const PluginRegistry> plugin
 }
 
 void Context::catch_signals() {
+  is_slurm_job = std::getenv("SLURM_JOB_ID") != nullptr;
   struct sigaction before {};
   for (const int signal : kStopSignals)  // under nohup SIGHUP stays ignored
     if (signal != SIGHUP || (sigaction(signal, nullptr, &before) == 0 && before.sa_handler != SIG_IGN))

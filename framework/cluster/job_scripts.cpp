@@ -43,6 +43,7 @@ while :; do
   if [ "$stops" -gt 0 ]; then code=75; break; fi  # before it began
   work &
   child=$!
+  if [ "$stops" -gt 0 ]; then ask_to_end; fi  # the signal came between these two lines
   while :; do  # wait also ends when a signal comes
     seen=$stops
     wait "$child"

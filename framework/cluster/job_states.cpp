@@ -26,12 +26,11 @@ struct JobRecord {
   bool has_ended = false, gave_up = false;             ///< of the last start
   int code = 0, stops = 0;                             ///< of the last end; stops: how often it was asked to end
 
-  /// Whether no further start follows, as the script decides it.
-  bool is_final() const {
-    if (gave_up) return true;
-    const bool goes_back = code == kStartAgain || (stops > 0 && code != 0 && code != kOthersAtWork);
-    return has_ended && !goes_back;
+  /// Whether another start follows the last end, as the script decides it. A launcher may have an exit code of its own.
+  bool goes_back() const {
+    return has_ended && !gave_up && (code == kStartAgain || (stops > 0 && code != 0 && code != kOthersAtWork));
   }
+  bool is_final() const { return gave_up || (has_ended && !goes_back()); }
   bool is_good() const { return has_ended && code == 0; }
 };
 
@@ -47,7 +46,7 @@ JobRecord read_record(const fs::path& file) {
     };
     if (line.starts_with("began ")) {
       record.nodes.push_back(value("node"));
-      if (record.has_ended && record.code == kStartAgain) ++record.resumed;
+      if (record.goes_back()) ++record.resumed;
       record.has_ended = record.gave_up = false;
     } else if (line.starts_with("ended ")) {
       ++record.ends;
@@ -219,6 +218,7 @@ class Look {
       return "it was asked to end again and again, as before a time limit; its profile allows no more restarts";
     if (record.has_ended) {
       if (record.code == 0 || record.code == kOthersAtWork) return "";
+      if (job != nullptr && job->state == "CANCELLED" && record.stops > 0) return slurm;  // which asked it to end
       if (record.code == kStartAgain || record.requeues > 0)
         return "it was to be started again, and was not" + (slurm.empty() ? "" : ": " + slurm);
       if (record.code > 128) return "weft was ended by " + ended_by(record.code - 128) + " again and again";

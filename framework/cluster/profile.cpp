@@ -22,6 +22,12 @@ std::vector<std::string> profile_names(const std::vector<fs::path>& folders) {
   return {names.begin(), names.end()};
 }
 
+std::string listed(const std::vector<std::string>& texts) {
+  std::string list;
+  for (const auto& text : texts) list += (list.empty() ? "" : ", ") + text;
+  return list;
+}
+
 bool has_control_character(const std::string& text) {
   return std::any_of(text.begin(), text.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
 }
@@ -81,12 +87,12 @@ ClusterChoice read_cluster_choice(const std::string& on, const std::vector<fs::p
       break;
     }
     if (choice.profile_file.empty() && !name.empty()) {
-      std::string searched;
-      for (const auto& folder : folders) searched += (searched.empty() ? "" : ", ") + folder.string();
       const auto known = profile_names(folders);
+      std::vector<std::string> searched;
+      for (const auto& folder : folders) searched.push_back(folder.string());
       throw ConfigError("--on = " + on + ": no profile is called " + name + "; " +
-                        (known.empty() ? "there is none" : "there are: " + one_of(known)) + " (searched: " + searched +
-                        ")" + nearest_hint(name, known));
+                        (known.empty() ? "there is none" : "there are: " + listed(known)) +
+                        " (searched: " + listed(searched) + ")" + nearest_hint(name, known));
     }
   }
   if (choice.profile_file.empty()) return choice;

@@ -101,7 +101,9 @@ std::string slurm_failure_text(const SlurmJob& job) {
   }};
   for (const auto& [state, text] : kTexts) {
     if (job.state != state) continue;
-    const bool says_more = job.reason != "None" && job.reason != "NonZeroExitCode" && !job.reason.empty();
+    // The reason of a cancelled job is why it was waiting before.
+    const bool says_more =
+        !job.reason.empty() && job.reason != "None" && job.reason != "NonZeroExitCode" && job.state != "CANCELLED";
     return says_more ? std::string(text) + " (" + job.reason + ")" : text;
   }
   return "";
@@ -120,7 +122,14 @@ std::string Slurm::submit(const fs::path& script, const std::vector<std::string>
   words.insert(words.end(), options.begin(), options.end());
   words.push_back(script.string());
   const ToolEnd end = run_tool(words);
-  if (!end.is_good) throw Error("sbatch refused " + script.string() + ": " + end.errors);
+  if (!end.is_good) {
+    const bool is_array = end.errors.find("Invalid job array specification") != std::string::npos;
+    throw Error("sbatch refused " + script.string() + ": " + end.errors +
+                (is_array
+                     ? "; an array has fewer tasks than Slurm's MaxArraySize (1001 unless an administrator raised it): "
+                       "lower `tasks` of the profile"
+                     : ""));
+  }
   const std::string id = end.output.substr(0, end.output.find_first_of(";\n"));
   if (id.empty() || id.find_first_not_of("0123456789") != std::string::npos)
     throw Error("sbatch answered '" + end.output + "' to " + script.string() + ", must be the number of a job");

@@ -40,6 +40,16 @@ std::string name_for_slurm(const std::string& label) {
   return name;
 }
 
+/// Slurm reads a backslash in the name of a log as an order to take nothing in it for a pattern, and leaves it out.
+void require_path_for_slurm(const fs::path& folder) {
+  for (const unsigned char c : folder.string()) {
+    if (c == '\\' || c < 0x20 || c == 0x7f)
+      throw ConfigError(folder.string() +
+                        ": Slurm cannot write logs to a folder with a backslash or a control character " +
+                        "in its path; choose another --out");
+  }
+}
+
 /// Variables that decide what weft finds, where the command was given.
 std::vector<std::string> weft_variables() {
   std::vector<std::string> found;
@@ -167,6 +177,7 @@ Submission::Submission(ClusterWork given, const ClusterChoice& choice, const std
   scripts.has_ranks = work.has_ranks;
   scripts.default_program = program;
   scripts.profile = choice.profile;
+  require_path_for_slurm(scripts.folder);
   submitted_as = work.results;
   // The same for every call with this folder and command, by whatever path: jobs that were submitted are found by it.
   Fingerprint place;

@@ -610,6 +610,24 @@ TEST(Program, APlanOrASessionThatIsAskedToStopSaysSo) {
   EXPECT_FALSE(std::filesystem::exists(folder / "plan"));  // a plan that was cut short is not kept
 }
 
+TEST(Program, AJobOfSlurmThatIsAskedTwiceEndsInOrder) {
+  const Folder folder;
+  const auto task =
+      folder.write("task.yaml", kTowelTask + "planning: {instances: 1, iterations: 90000, horizon: 12}\n");
+  const auto asked_twice = [&](const std::string& job) {
+    return test::run_shell("unset WEFT_PLUGIN_PATH SLURM_JOB_ID; " + job + " '" WEFT_PROGRAM "' run '" + task.string() +
+                           "' --out '" + (folder / "run").string() + "' & weft=$!\nuntil test -d '" +
+                           (folder / "run").string() +
+                           "'; do :; done; sleep 0.1; kill -TERM $weft; sleep 0.01; kill -TERM $weft; wait $weft");
+  };
+  // slurmd and the script of a cancelled job both ask.
+  const Outcome job = asked_twice("SLURM_JOB_ID=7");
+  EXPECT_EQ(job.code, 75) << job.output;
+  EXPECT_THAT(job.output, AllOf(HasSubstr("stopping\n"), HasSubstr("interrupted")));
+  std::filesystem::remove_all(folder / "run");
+  EXPECT_EQ(asked_twice("").code, 143);
+}
+
 TEST(Program, WhatASimulatorCannotHonourIsSaid) {
   const Folder folder;
   const auto task =

@@ -3,14 +3,16 @@
 
 Four nodes on loopback (slurm_kit.py). Each scenario runs a sweep or another command on them, breaks something, and compares
 the result with that of one process, byte for byte: nothing is lost, nothing is there twice, and weft says what happened.
---all adds what takes longer: a real time limit, and every command that takes --on. Exit code 0: all held; 1: not; 77: Slurm
-is not installed, or this is not root, and nothing was tested.
+--all adds what takes longer: a real time limit, ranks under mpirun, and every other command that takes --on. Exit code 0: all
+held; 1: not; 77: Slurm is not installed, or this is not root, and nothing was tested.
 """
 
 import argparse
 import json
 import os
 import re
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -44,7 +46,7 @@ class Bench:
         task = fault_kit.TASK
         if plugins:  # a cell lasts some seconds, so that it can be broken in the middle
             task = task.replace("optimiser: {plugin: rprop}",
-                                f"optimiser: {{plugin: patient, params: {{pause_s: 0.4}}}}\nplugin_path: ['{plugins}']")
+                                f"optimiser: {{plugin: patient, params: {{pause_s: 0.4}}}}\nplugin_path: ['{plugins.resolve()}']")
             require("patient" in task, "the task has another optimiser")
         for name, text in (("task", task), ("ablation", fault_kit.ablation(SEEDS)),
                            ("experiment", fault_kit.EXPERIMENT), ("physics", fault_kit.PHYSICS)):
@@ -65,7 +67,7 @@ class Bench:
 
     def start(self, arguments, *options, stdout=subprocess.PIPE):
         """Starts weft in the folder of the inputs."""
-        return subprocess.Popen([self.weft, *arguments.split(), *options], cwd=self.folder, env=self.environment,
+        return subprocess.Popen([self.weft, *shlex.split(arguments), *options], cwd=self.folder, env=self.environment,
                                 stdin=subprocess.DEVNULL, stdout=stdout, stderr=subprocess.STDOUT, text=True)
 
     def run(self, arguments, *options, seconds=180, code=0):
@@ -95,8 +97,12 @@ class Bench:
         record = json.loads(next((self.out / "slurm").glob(f"{label}*/submission.json")).read_text())
         return record["array"], record["merge"]
 
+    def say_status(self, code=0):
+        """@return what `weft status` prints."""
+        return self.run("status", str(self.out), code=code)
+
     def status(self):
-        return json.loads(self.run(f"status {self.out} --json", code=None))[0]
+        return json.loads(self.run("status --json", str(self.out), code=None))[0]
 
     def wait_for_units(self, count, seconds=90):
         """Until so many units of work are there, while the work goes on."""
@@ -127,7 +133,7 @@ class Bench:
                     (folder / one.name).symlink_to(one)
             name = self.out.name if file else "out"
             jobs = "8" if arguments == SWEEP else "2"  # its cells wait more than they work
-            one = subprocess.run([self.weft, *arguments.split(), "--out", name + file, "--jobs", jobs, "--quiet"], cwd=folder,
+            one = subprocess.run([self.weft, *shlex.split(arguments), "--out", name + file, "--jobs", jobs, "--quiet"], cwd=folder,
                                  env=self.environment, capture_output=True, text=True, check=False)
             require(one.returncode == 0, f"weft {arguments} in one process failed: {one.stderr}")
             self._right[arguments] = fault_kit.contents(folder / name)
@@ -147,7 +153,7 @@ class Bench:
         status = self.wait_until_over()
         require(status["is_done"], f"not done: {status}\n{self.logs()}")
         self.require_right(arguments, file)
-        said = self.run(f"status {self.out}")
+        said = self.say_status()
         for text in texts:
             require(text in said, f"'{text}' is not said: {said}")
         return said
@@ -208,15 +214,24 @@ def killed_and_requeued(bench):
     require(f"task {tasks[1].partition('_')[2]} failed on n" in said, f"the killed script is not named: {said}")
 
 
+def ask_to_end(bench, job):
+    """As Slurm does before a time limit."""
+    sent = bench.slurm.run("scancel", "--signal=TERM", "--batch", job)
+    require(sent.returncode == 0, f"scancel: {sent.stderr}")
+
+
 def asked_to_end(bench):
-    """SIGTERM as before a time limit: the task ends at once and goes back to the queue."""
+    """SIGTERM as before a time limit: the task ends at once and goes back to the queue. A cancelled one also ends in order."""
     array, _ = bench.submit(SWEEP, "asked", profile="test")
     bench.wait_for_units(2)
-    task = next(job for job, state, _, _ in bench.slurm.jobs() if job.startswith(array + "_") and state == "RUNNING")
-    sent = bench.slurm.run("scancel", "--signal=TERM", "--batch", task)
-    require(sent.returncode == 0, f"scancel: {sent.stderr}")
-    number = task.partition("_")[2]
-    bench.require_done(SWEEP)
+    task, other = [job for job, state, _, _ in bench.slurm.jobs() if job.startswith(array + "_") and state == "RUNNING"][:2]
+    ask_to_end(bench, task)
+    require(bench.slurm.run("scancel", other).returncode == 0, "scancel failed")
+    number, gone = task.partition("_")[2], other.partition("_")[2]
+    said = bench.require_done(SWEEP)
+    require(re.search(f"task {gone} failed on n.: it was cancelled\n", said), f"the cancelled task is not named: {said}")
+    record = (bench.out / f"slurm/ablate/tasks/{other}.txt").read_text()
+    require("ended code=75" in record, f"the cancelled task did not end in order: {record}")
     log = (bench.out / f"slurm/ablate/logs/task-{task}.log").read_text()
     record = (bench.out / f"slurm/ablate/tasks/{task}.txt").read_text()
     require("stopping" in log and "goes back to the queue" in log, f"task {number} says: {log}")
@@ -232,7 +247,7 @@ def never_starts(bench):
         held = bench.slurm.run("scontrol", "hold", f"{array}_4")
         require(held.returncode == 0, f"scontrol hold: {held.stderr}")
         bench.wait_for_units(1)
-        said = bench.run(f"status {bench.out}")
+        said = bench.say_status()
         require("task 4 does not start: JobHeld" in said, f"the held task is not named: {said}")
         bench.require_done(SWEEP)
     finally:
@@ -273,7 +288,8 @@ def no_room(bench):
     cells.mkdir(parents=True)
     bench.slurm.kill_node(node)
     bench.slurm.wrappers[node] = ("unshare", "-m", "sh", "-c",
-                                  f"mount -t tmpfs -o size=8k tmpfs '{cells}' && head -c 8192 /dev/zero >'{cells}/full'; "
+                                  f"mount -t tmpfs -o size=8k tmpfs {shlex.quote(str(cells))} && "
+                                  f"head -c 8192 /dev/zero >{shlex.quote(str(cells / 'full'))}; "
                                   'exec "$@"', "sh")
     bench.slurm.start_node(node)
     try:
@@ -295,7 +311,7 @@ def too_little_memory(bench):
     table = (bench.out / "ablation.csv").read_text()
     is_said = "there was not enough memory" in table or "std::bad_alloc" in table
     require(not status["is_done"] and is_said, f"{status}: {table}")
-    require("the merge failed" in bench.run(f"status {bench.out}", code=1), "the failure is not said")
+    require("the merge failed" in bench.say_status(code=1), "the failure is not said")
     bench.submit(f"{SWEEP} --retry-failed=all", "memory")
     bench.require_done(SWEEP)
 
@@ -307,11 +323,17 @@ def cancelled(bench):
     refused = bench.run(f"{SWEEP} --out cancelled --seed 77 --accept-changed", "--on", "slurm:test", code=2)
     require("jobs of another command are in the queue" in refused, f"refused: {refused}")
     again = bench.run(f"{SWEEP} --out cancelled --detach", "--on", "slurm:test")
-    require("in the queue already" in again, f"called again: {again}")
-    bench.run(f"cancel {bench.out}")
+    require("in the queue already" in again and "to change it" not in again, f"called again: {again}")
+    bench.profile("other", tasks=3)
+    bench.profile("test", grace_s=20)
+    for profile in ("other", "test"):  # by its name, and by what it says
+        again = bench.run(f"{SWEEP} --out cancelled --detach", "--on", f"slurm:{profile}")
+        require("the profile test as it was then" in again, f"with another profile: {again}")
+    bench.profile("test")
+    bench.run("cancel", str(bench.out))
     status = bench.wait_until_over()
     require(not status["is_done"] and 2 <= status["done"] < status["total"], f"after the cancel: {status}")
-    require("it was cancelled" in bench.run(f"status {bench.out}", code=1), "the cancel is not said")
+    require("it was cancelled" in bench.say_status(code=1), "the cancel is not said")
     bench.submit(SWEEP, "cancelled")
     record = json.loads((bench.out / "slurm/ablate/submission.json").read_text())
     require(record["left"] == status["total"] - status["done"], f"submitted {record['left']} after {status}")
@@ -340,6 +362,10 @@ def refusals(bench):
     require("sbatch refused" in text and "partition" in text, f"a partition that is not there: {text}")
     text = bench.run(f"{SWEEP} --out wrong2", "--on", "slurm:tset", code=2)
     require("no profile is called tset" in text and "nearest: test" in text, f"a wrong name: {text}")
+    bench.profile("many", tasks=2000)
+    (bench.folder / "many.yaml").write_text(fault_kit.ablation(501))  # 1,002 cells; MaxArraySize is 1001
+    text = bench.run("ablate many.yaml --out many", "--on", "slurm:many", code=1)
+    require("lower `tasks` of the profile" in text, f"an array that is too large: {text}")
     kept = bench.environment["SLURM_CONF"]
     elsewhere = bench.folder / "elsewhere.conf"
     elsewhere.write_text(re.sub("SlurmctldPort=.*", "SlurmctldPort=1", Path(kept).read_text()))
@@ -375,44 +401,79 @@ def real_time_limit(bench):
     bench.require_done(work, "as before a time limit")
 
 
-def trained_over_ranks(bench):
-    """srun starts the four ranks of a fit, one on each node. One is killed, and later the job is asked to end: it goes on."""
+def fit_data(bench):
+    """Examples that fits share."""
     if not (bench.folder / "data").exists():
         bench.run("generate experiment.yaml --examples 48 --out data --quiet")
+
+
+def wait_for_ranks(bench, job, count, start, seconds=90):
+    """Once they have worked, the ranks of the program's n-th start."""
+    end = time.monotonic() + seconds
+    while True:
+        record = (bench.out / f"slurm/train-model/tasks/{job}.txt")
+        starts = record.read_text().count("killed") + record.read_text().count("began") if record.exists() else 0
+        found = [one for one in bench.slurm.processes_of(job) if name_of(one) == "weft"]
+        if starts == start and len(found) == count and list(bench.out.glob("*checkpoint*")):
+            return found
+        require(time.monotonic() < end, f"start {start} of the ranks does not come: {found}\n{bench.logs()}")
+        bench.slurm.hurry()
+        time.sleep(0.1)
+
+
+def with_model(file):
+    return "--set " + shlex.quote(f"predictor.params.model={file}")
+
+
+# The four nodes have one address, and not the names that Slurm gives them, so mpirun is told where its processes run.
+MPIRUN = "mpirun --allow-run-as-root --host localhost:2 --mca ras ^slurm --mca plm ^slurm"
+FIT_OVER_RANKS = "train experiment.yaml --data data --set predictor.params.training.parts=4"
+
+
+def trained_over_ranks(bench):
+    """srun starts the four ranks of a fit, one on each node. One is killed, and later the job is asked to end: it goes on."""
+    fit_data(bench)
     bench.profile("ranks", ranks=4, cpus=2, environment=["WEFT_INTERFACE=lo"])
-    work, file = "train experiment.yaml --data data --set predictor.params.training.parts=4", "/model.h5"
-    array, _ = bench.submit(work, "ranks", profile="ranks", file=file)
-
-    def ranks(start, seconds=90):
-        """Once they have worked, those of the program's n-th start."""
-        end = time.monotonic() + seconds
-        while True:
-            record = (bench.out / f"slurm/train-model/tasks/{array}_1.txt")
-            starts = record.read_text().count("killed") + record.read_text().count("began") if record.exists() else 0
-            found = [one for one in bench.slurm.processes_of(f"{array}_1") if name_of(one) == "weft"]
-            if starts == start and len(found) == 4 and list(bench.out.glob("*checkpoint*")):
-                return found
-            require(time.monotonic() < end, f"start {start} of the ranks does not come: {found}\n{bench.logs()}")
-            bench.slurm.hurry()
-            time.sleep(0.1)
-
-    first = ranks(1)
+    array, _ = bench.submit(FIT_OVER_RANKS, "ranks", profile="ranks", file="/model.h5")
+    first = wait_for_ranks(bench, f"{array}_1", 4, 1)
     nodes = {environment_of(one)["SLURMD_NODENAME"] for one in first}
     require(len(nodes) == 4, f"the ranks ran on {nodes}")
     os.kill(first[2], signal.SIGKILL)
-    ranks(2)
-    sent = bench.slurm.run("scancel", "--signal=TERM", "--batch", f"{array}_1")
-    require(sent.returncode == 0, f"scancel: {sent.stderr}")
-    bench.require_done(work, "the job was started 3 times", "by a signal from outside",
-                       "1 x after Slurm asked it to end", file=file)
+    wait_for_ranks(bench, f"{array}_1", 4, 2)
+    ask_to_end(bench, f"{array}_1")
+    bench.require_done(FIT_OVER_RANKS, "the job was started 3 times", "by a signal from outside",
+                       "1 x after Slurm asked it to end", file="/model.h5")
     record = (bench.out / f"slurm/train-model/tasks/{array}_1.txt").read_text()
     require("ended code=75 stops=1" in record, f"the ranks were killed, and not asked to end: {record}")
 
 
+def started_by_mpirun(bench):
+    """mpirun of Open MPI starts two ranks on one node. The job is asked to end in the middle, and goes on."""
+    require(shutil.which("mpirun"), "no mpirun (Debian: openmpi-bin)")
+    fit_data(bench)
+    bench.profile("mpi", ranks=2, cpus=1, sbatch=["--nodes=1"], launcher=MPIRUN)
+    work, file = f"{FIT_OVER_RANKS} --set predictor.params.training.iterations=600", "/model.h5"
+    array, _ = bench.submit(work, "mpi", profile="mpi", file=file)
+    ranks = wait_for_ranks(bench, f"{array}_1", 2, 1)
+    require({environment_of(one).get("OMPI_COMM_WORLD_RANK") for one in ranks} == {"0", "1"}, "mpirun did not start them")
+    ask_to_end(bench, f"{array}_1")
+    bench.require_done(work, "the job was started 2 times", "1 x after Slurm asked it to end", file=file)
+    log = (bench.out / f"slurm/train-model/logs/task-{array}_1.log").read_text()
+    require("2 ranks, 1 threads, from the checkpoint" in log, f"the second start began anew: {log}")
+
+
+def evaluated(bench):
+    """An evaluation whose cells are shared, of the model of `trained_over_ranks`."""
+    model = bench.folder / "ranks/model.h5"
+    require(model.exists(), "run it with trained_over_ranks")
+    work = f"evaluate planning experiment.yaml {with_model(model)} --cases 2 --widths 0.1 1 --seed 3"
+    bench.submit(work, "evaluated")
+    bench.require_done(work)
+
+
 def learned(bench):
     """Fit, calibration and evaluations on the cluster equal those of one process."""
-    if not (bench.folder / "data").exists():
-        bench.run("generate experiment.yaml --examples 48 --out data --quiet")
+    fit_data(bench)
     work, file = "train experiment.yaml --data data", "/model.h5"
     bench.submit(work, "model", file=file)
     bench.require_done(work, file=file)
@@ -424,20 +485,22 @@ def learned(bench):
     bench.run(f"{work} --out variant/model.h5 --quiet")
     saved = (bench.folder / "variant/config.yaml").read_text()
     require(re.search("kernels: \"?v2", saved), f"another variant was taken: {saved}")
-    model = f"--set predictor.params.model={bench.folder}/model/model.h5"  # a saved config holds the whole path
+    model = with_model(bench.folder / "model/model.h5")  # a saved config holds the whole path
     work = f"calibrate experiment.yaml {model} --data data"
     bench.submit(work, "calibrated", file=file)
     bench.require_done(work, file=file)
     for work in (f"evaluate prediction experiment.yaml {model} --data data",
-                 f"evaluate planning experiment.yaml {model} --cases 2 --widths 0.1 1 --seed 3",
                  f"evaluate estimation experiment.yaml {model} --cases 3 --seed 5"):
         bench.submit(work, "-".join(work.split()[:2]))
         bench.require_done(work)
+    work = "learn experiment.yaml"
+    bench.submit(work, "out")  # its calibration names the folder
+    bench.require_done(work)
 
 
 SCENARIOS = [refusals, plain, node_killed, killed_and_requeued, asked_to_end, never_starts, controller_restarted, no_room,
-             cancelled, killed_while_submitting, too_little_memory, generated, physics, trained_over_ranks]
-LONGER = [real_time_limit, learned]
+             cancelled, killed_while_submitting, too_little_memory, generated, physics, trained_over_ranks, evaluated]
+LONGER = [real_time_limit, started_by_mpirun, learned]
 
 
 def main():
@@ -456,7 +519,7 @@ def main():
     failed = 0
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # the cluster ends with this
     with Slurm() as slurm:
-        work = slurm.folder / "work"
+        work = slurm.folder / "it's a folder"  # a word for the shell only in quotation marks
         work.mkdir()
         bench = Bench(options.weft, slurm, work, options.plugins)
         for scenario in chosen:

@@ -34,9 +34,9 @@ TEST(ClusterProfile, IsLookedForInFoldersInOrder) {
   EXPECT_EQ(read_cluster_choice("slurm", folders).profile.time_limit_min, 0);  // no default.yaml: all defaults
   folder.write("second/default.yaml", "cpus: 8\n");
   EXPECT_EQ(read_cluster_choice("slurm", folders).profile.cpus, 8);
-  EXPECT_THAT(
-      message_of<ConfigError>([&] { read_cluster_choice("slurm:shrot", folders); }),
-      AllOf(HasSubstr("no profile is called shrot"), HasSubstr("default, long, short"), HasSubstr("nearest: short")));
+  EXPECT_THAT(message_of<ConfigError>([&] { read_cluster_choice("slurm:shrot", folders); }),
+              AllOf(HasSubstr("no profile is called shrot"), HasSubstr("there are: default, long, short"),
+                    HasSubstr("nearest: short")));
   EXPECT_THAT(message_of<ConfigError>([&] { read_cluster_choice("pbs", folders); }), HasSubstr("must be slurm"));
   EXPECT_THAT(message_of<ConfigError>([&] { read_cluster_choice("slurm:", folders); }), HasSubstr("after the colon"));
 }
@@ -155,6 +155,11 @@ class TaskScript {
                            "':\"$PATH\" SLURM_ARRAY_JOB_ID=12 SLURM_ARRAY_TASK_ID=3 SLURMD_NODENAME=n2 " + variables +
                            "; bash '" + (folder_ / "array.sh").string() + "'");
   }
+  /// The script waits between the start of weft and the next line.
+  test::Outcome run_slowly() const {
+    folder_.write("slow.sh", "trap 'case $BASH_COMMAND in child=*!) /bin/sleep 0.5;; esac' DEBUG\n");
+    return run("BASH_ENV='" + (folder_ / "slow.sh").string() + "'");
+  }
   std::string calls() const { return text("calls"); }
   std::string record() const { return text("out/slurm/ablate/tasks/12_3.txt"); }
 
@@ -199,6 +204,14 @@ TEST(TaskScript, PassesTheSignalOnAndGoesBackToTheQueue) {
   EXPECT_EQ(tired.run("SLURM_RESTART_COUNT=2").code, 1);
   EXPECT_THAT(tired.calls(), IsEmpty());
   EXPECT_THAT(tired.record(), HasSubstr("gave-up restarts=2"));
+}
+
+TEST(TaskScript, DoesNotForgetASignalThatComesWhileWeftStarts) {
+  const TaskScript stopped(
+      "trap 'echo stopping; exit 75' TERM\nkill -TERM $PPID\nfor i in $(seq 500); do /bin/sleep 0.02; done\n");
+  const auto outcome = stopped.run_slowly();
+  EXPECT_EQ(outcome.code, 75) << outcome.output;
+  EXPECT_THAT(outcome.output, HasSubstr("stopping"));
 }
 
 TEST(TaskScript, AsksTheProcessesOfSrunToEndAndDoesNotKillThem) {
@@ -316,6 +329,26 @@ TEST_F(JobStatesTest, SayWhichTaskFailedWhereAndWhy) {
                           "failed, or it was requeued"));
 }
 
+TEST_F(JobStatesTest, ATaskThatWasCancelledIsSaidToBe) {
+  record("12_1", "began restart=0 node=n1\nended code=75 stops=1 node=n1\n");
+  record("12_2", "began restart=0 node=n2\nended code=143 stops=1 node=n2\n");
+  record("12_3", "began restart=0 node=n3\nended code=1 stops=0 node=n3\n");
+  const auto states = job_states(submission_, parse_squeue("12_1|a|CANCELLED|n1|None\n12_2|a|CANCELLED|n2|None\n"
+                                                           "12_3|a|CANCELLED|n3|None\n12_4|a|CANCELLED||Resources\n"
+                                                           "13|a-merge|PENDING||Dependency\n"));
+  EXPECT_THAT(states.troubles,
+              ElementsAre("task 1 failed on n1: it was cancelled", "task 2 failed on n2: it was cancelled",
+                          "task 3 failed on n3: weft ended with exit code 1", "task 4 failed: it was cancelled"));
+}
+
+TEST_F(JobStatesTest, ALauncherMayHaveItsOwnExitCodeWhenItWasAskedToEnd) {
+  record("12_1",
+         "began restart=0 node=n1\nended code=143 stops=1 node=n1\nrequeued node=n1\nbegan restart=1 node=n2\n");
+  EXPECT_THAT(
+      job_states(submission_, parse_squeue("12_1|a|RUNNING|n2|None\n")).notes,
+      ElementsAre("task 1 was started 2 times (n1, n2): 1 x after Slurm asked it to end, as before a time limit"));
+}
+
 TEST_F(JobStatesTest, TasksWaitWhileSlurmDoesNotAnswer) {
   record("12_1", "began restart=0 node=n1\n");
   record("12_2", "began restart=0 node=n2\nended code=75 stops=1 node=n2\nrequeued node=n2\n");
@@ -411,6 +444,15 @@ TEST(Submission, HasOneNameByWhateverPath) {
   const Submission one(sweep_of(folder / "real/out", 8, 8), ClusterChoice{}, "/opt/weft");
   EXPECT_EQ(Submission(sweep_of(folder / "link/out", 8, 8), ClusterChoice{}, "/opt/weft").names(), one.names());
   EXPECT_NE(Submission(sweep_of(folder / "real/other", 8, 8), ClusterChoice{}, "/opt/weft").names(), one.names());
+}
+
+TEST(Submission, RefusesAFolderThatSlurmCannotWriteLogsTo) {
+  const Folder folder;
+  for (const std::string name : {"back\\slash", "new\nline"})
+    EXPECT_THAT(
+        message_of<ConfigError>([&] { Submission(sweep_of(folder / name, 8, 8), ClusterChoice{}, "/opt/weft"); }),
+        HasSubstr("Slurm cannot write logs"))
+        << name;
 }
 
 TEST(Submission, AClaimThatADeadMachineLeftIsTakenOver) {
