@@ -56,6 +56,17 @@ ordered_json write_fit_report(const Prepared<ExperimentParams>& given, const Fit
   return seconds;
 }
 
+/// The record beside a model whose fit came to its end: the same command does not fit it again.
+std::string finished_record(const std::string& provenance) {
+  ordered_json record = ordered_json::parse(provenance);
+  record["finished"] = true;
+  return record.dump(2) + "\n";
+}
+bool is_finished(const fs::path& record) {
+  const auto parsed = ordered_json::parse(text_of_file(record), nullptr, false);
+  return parsed.is_object() && parsed.contains("finished") && parsed["finished"] == true;
+}
+
 /// Prints how far the fit is.
 FitObserver fit_lines(const Context& context) {
   return [&context](const FitProgress& p) {
@@ -117,6 +128,11 @@ int train_model(Context& context, const TrainCall& call) {
   options.accept_changed = context.accept_changed;
   options.ranks = ranks;
   if (is_used) require_identity(model.string(), earlier, identity, context.accept_changed);
+  if (fs::exists(model) && !fs::exists(checkpoint) && is_finished(record) && identity.changes_since(earlier).empty()) {
+    context.say(model.string() + " is fitted already; remove it to fit it anew");
+    if (context.json) context.output() << text_of_file(model.parent_path() / "training.json");
+    return 0;
+  }
   if (call.cluster.is_given())
     return run_on_cluster(context, call.cluster, work,
                           [&] { write_planned_identity(work.results, work.label, identity); });
@@ -142,6 +158,7 @@ int train_model(Context& context, const TrainCall& call) {
     throw;
   }
   const ordered_json seconds = write_fit_report(given, report, out);
+  if (report.finished) write_text(record, finished_record(options.provenance));
   if (context.json) context.output() << with_times(report.json, seconds.dump());
   std::snprintf(line, sizeof(line), "%s after %lld iterations and %s: %s",
                 report.finished ? "done" : "stopped; run the same command again to continue",
