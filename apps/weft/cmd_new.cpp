@@ -7,6 +7,7 @@
 
 #include "commands.hpp"
 #include "output.hpp"
+#include "processes/shell_word.hpp"
 #include "sdk/files.hpp"
 #include "weft/config.hpp"
 
@@ -66,15 +67,6 @@ std::string class_name(const std::string& name, const char* suffix) {
     begins = c == '_';
   }
   return result + suffix;
-}
-
-/// A word of a shell command.
-std::string shell_word(const std::string& word) {
-  const auto plain = [](char c) {
-    return is_word_part(c) || std::string_view("/.+-,:@%").find(c) != std::string::npos;
-  };
-  if (std::all_of(word.begin(), word.end(), plain)) return word;
-  return "'" + replaced(word, "'", "'\\''") + "'";
 }
 
 /// @throws ConfigError.

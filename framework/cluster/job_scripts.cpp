@@ -4,6 +4,8 @@
 #include <cctype>
 #include <string_view>
 
+#include "processes/shell_word.hpp"
+
 namespace weft {
 namespace {
 
@@ -88,16 +90,6 @@ if [ "$code" = 3 ]; then code=0; fi  # other tasks are at work on the rest
 )";
 
 }  // namespace
-
-std::string shell_word(const std::string& text) {
-  const bool is_plain = !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char c) {
-    return std::isalnum(c) != 0 || std::string_view("_-./:,@%+=").find(static_cast<char>(c)) != std::string_view::npos;
-  });
-  if (is_plain) return text;
-  std::string word = "'";
-  for (const char c : text) word += c == '\'' ? std::string("'\\''") : std::string(1, c);
-  return word + "'";
-}
 
 std::string JobScripts::job_name(JobKind kind) const {
   if (kind == JobKind::task) return name;

@@ -43,7 +43,4 @@ struct JobScripts {
   std::filesystem::path record(const std::string& id) const;
 };
 
-/// A word for the shell.
-std::string shell_word(const std::string& text);
-
 }  // namespace weft
