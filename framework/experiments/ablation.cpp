@@ -209,19 +209,17 @@ ordered_json statistics_json(const BootstrapStatistics& s) {
           {"mean", json_number(s.mean)},
           {"median", json_number(s.median)},
           {"sd", json_number(s.sd)},
-          {"mean_95", {json_number(s.mean_interval.first), json_number(s.mean_interval.second)}},
-          {"median_95", {json_number(s.median_interval.first), json_number(s.median_interval.second)}}};
+          {"mean_95", json_interval(s.mean_interval)},
+          {"median_95", json_interval(s.median_interval)}};
 }
 
 ordered_json medians_json(const MedianComparison& c, bool has_target) {
-  const auto interval = [](const std::pair<double, double>& ends) {
-    return ordered_json{json_number(ends.first), json_number(ends.second)};
-  };
-  ordered_json json{
-      {"n", c.n}, {"baseline_over_own", json_number(c.ratio)}, {"baseline_over_own_95", interval(c.ratio_interval)}};
+  ordered_json json{{"n", c.n},
+                    {"baseline_over_own", json_number(c.ratio)},
+                    {"baseline_over_own_95", json_interval(c.ratio_interval)}};
   if (has_target) {
     json["gap_closed"] = json_number(c.gap_closed);
-    json["gap_closed_95"] = interval(c.gap_interval);
+    json["gap_closed_95"] = json_interval(c.gap_interval);
   }
   return json;
 }

@@ -63,8 +63,12 @@ EstimationCase case_of_metrics(const SweepRow& row) {
   return one;
 }
 
-ordered_json json_of(const Spread& s) {
-  return {{"mean", json_number(s.mean)}, {"sd", json_number(s.sd)}, {"median", json_number(s.median)}};
+ordered_json json_of(const BootstrapStatistics& s) {
+  return {{"mean", json_number(s.mean)},
+          {"sd", json_number(s.sd)},
+          {"median", json_number(s.median)},
+          {"mean_95", json_interval(s.mean_interval)},
+          {"median_95", json_interval(s.median_interval)}};
 }
 
 /// The figures of one method: those of Table 1 and more.
@@ -98,8 +102,8 @@ ordered_json estimation_figures(const EvaluationColumn& column, std::size_t arm)
     const IntervalFigures f = interval_figures(last, truth, i);
     const auto n = static_cast<double>(count);
     json["properties"][kPropertyNames[p]] = {
-        {"abs_error", json_of(spread_of(errors))},
-        {"width", json_of(spread_of(widths))},
+        {"abs_error", json_of(bootstrap_statistics(errors, kResamples, kBootstrapKey))},
+        {"width", json_of(bootstrap_statistics(widths, kResamples, kBootstrapKey))},
         {"failure_rate", json_number(failures / n)},
         {"coverage",
          {{"0.5", json_number(f.coverage50)}, {"0.8", json_number(f.coverage80)}, {"1", json_number(f.coverage100)}}},

@@ -66,7 +66,7 @@ ordered_json planning_column(const EvaluationColumn& column) {
       }
       json["cases"].push_back(one);
     }
-    const Spread s = spread_of(errors);
+    const BootstrapStatistics s = bootstrap_statistics(errors, kResamples, kBootstrapKey);
     const double q1 = quantile_of(errors, 0.25), q3 = quantile_of(errors, 0.75), reach = 1.5 * (q3 - q1);
     const auto outliers =
         std::count_if(errors.begin(), errors.end(), [&](double e) { return e < q1 - reach || e > q3 + reach; });
@@ -74,6 +74,8 @@ ordered_json planning_column(const EvaluationColumn& column) {
                                 {"n", errors.size()},
                                 {"mean_mm", json_number(s.mean)},
                                 {"median_mm", json_number(s.median)},
+                                {"mean_95_mm", json_interval(s.mean_interval)},
+                                {"median_95_mm", json_interval(s.median_interval)},
                                 {"sd_mm", json_number(s.sd)},
                                 {"q1_mm", json_number(q1)},
                                 {"q3_mm", json_number(q3)},

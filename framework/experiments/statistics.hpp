@@ -24,6 +24,9 @@ struct BootstrapStatistics : Spread {
   std::size_t n = 0;
   std::pair<double, double> mean_interval{kNaN, kNaN}, median_interval{kNaN, kNaN};
 };
+/// The bootstrap of the evaluations, whose results name no number of resamples and no stream.
+constexpr std::int64_t kResamples = 10000;
+constexpr std::uint64_t kBootstrapKey = 1;
 /// @param key of the bootstrap's random stream. The same values and key give the same bits.
 BootstrapStatistics bootstrap_statistics(const std::vector<double>& values, std::int64_t resamples, std::uint64_t key);
 

@@ -1,6 +1,7 @@
 #include "report/paper_tables.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cmath>
 #include <cstdio>
@@ -9,7 +10,9 @@
 #include <nlohmann/json.hpp>
 
 #include "sdk/json_text.hpp"
+#include "sdk/quantile.hpp"
 #include "weft/error.hpp"
+#include "weft/material.hpp"
 
 namespace weft {
 namespace {
@@ -17,25 +20,38 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
-/// A number with so many digits after the point; empty for null and for a key that is not there.
-std::string fixed_text(const ordered_json& object, const std::string& key, int digits, double factor = 1.0) {
+/// A number of a result, times a factor; null where it is missing.
+ordered_json number_at(const ordered_json& object, const std::string& key, double factor = 1.0) {
   const auto found = object.find(key);
-  if (found == object.end() || !found->is_number()) return "";
+  if (found == object.end() || !found->is_number()) return nullptr;
+  if (factor == 1.0) return *found;
+  return factor * found->get<double>();
+}
+
+ordered_json percent_at(const ordered_json& object, const std::string& key) { return number_at(object, key, 100.0); }
+
+/// [lower, upper]; null where one of them is missing.
+ordered_json interval_at(const ordered_json& statistics, const std::string& key) {
+  const auto found = statistics.find(key);
+  if (found == statistics.end() || found->size() != 2 || !(*found)[0].is_number() || !(*found)[1].is_number())
+    return nullptr;
+  return *found;
+}
+
+std::string fixed_text(double value, int digits) {
   char text[400];  // the largest double has 309 digits before the point
-  std::snprintf(text, sizeof text, "%.*f", digits, factor * found->get<double>());
+  if (digits == PaperColumn::kSignificant)
+    std::snprintf(text, sizeof text, "%.4g", value);
+  else
+    std::snprintf(text, sizeof text, "%.*f", digits, value);
   return text;
 }
 
-std::string percent_text(const ordered_json& object, const std::string& key) {
-  return fixed_text(object, key, 0, 100.0);
-}
-
-std::string interval_text(const ordered_json& statistics, const std::string& key, int digits) {
-  const auto found = statistics.find(key);
-  if (found == statistics.end() || found->size() != 2) return "";
-  const std::string low = fixed_text({{"end", (*found)[0]}}, "end", digits),
-                    high = fixed_text({{"end", (*found)[1]}}, "end", digits);
-  return low.empty() || high.empty() ? "" : "[" + low + ", " + high + "]";
+/// The unit that the name of a metric ends with: "error_mm".
+std::string unit_of(const std::string& metric) {
+  for (const char* unit : {"mm", "mm2", "seconds"})
+    if (metric.ends_with(std::string("_") + unit)) return unit == std::string("seconds") ? "s" : unit;
+  return "";
 }
 
 /// Digits after the point that show three or four digits of the largest mean.
@@ -62,6 +78,24 @@ std::string warnings_of(const ordered_json& json) {
   return text;
 }
 
+/// With measure: physics, one table of all metrics: the mean of each in every arm.
+void add_ablation_summary(const ordered_json& json, const std::vector<std::string>& metrics,
+                          std::vector<PaperTable>& tables) {
+  PaperTable table{
+      "ablation-summary", "Means of all metrics" + warnings_of(json), {{"metric", "metric", "", 0}}, {}, 1};
+  for (const auto& arm : json.at("arms")) {
+    const std::string name = arm.at("name");
+    table.columns.push_back({name, name, "", PaperColumn::kSignificant});
+  }
+  for (const auto& metric : metrics) {
+    std::vector<ordered_json> row = {metric};
+    for (const auto& arm : json["arms"])
+      row.push_back(number_at(arm.at("metrics").value(metric, ordered_json::object()), "mean"));
+    table.rows.push_back(std::move(row));
+  }
+  tables.push_back(std::move(table));
+}
+
 /// One table for each metric: mean, median, and the paired difference to the baseline, with 95 % intervals.
 void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
   std::vector<std::string> metrics;
@@ -70,6 +104,7 @@ void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
       if (std::find(metrics.begin(), metrics.end(), name) == metrics.end()) metrics.push_back(name);
   const auto factors = json.at("factors").get<std::vector<std::string>>();
   const bool has_target = json.value("has_target", false);
+  if (!json.value("cases", ordered_json::array()).empty()) add_ablation_summary(json, metrics, tables);
   for (const auto& metric : metrics) {
     PaperTable table;
     table.label = "ablation-" + metric;
@@ -77,35 +112,40 @@ void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
         metric +
         ": mean and median with the bootstrap's 95 % intervals, and the mean of the paired differences to the baseline" +
         warnings_of(json);
-    table.head = factors;
     table.texts = factors.size();
-    for (const char* name : {"n", "failed", "mean", "95 %", "median", "95 %", "difference", "95 %"})
-      table.head.emplace_back(name);
+    for (const auto& factor : factors) table.columns.push_back({factor, factor, "", 0});
     const int digits = digits_for(json["arms"], metric);
+    const std::string unit = unit_of(metric);
+    const auto add = [&](const std::vector<PaperColumn>& some) {
+      table.columns.insert(table.columns.end(), some.begin(), some.end());
+    };
+    add({{"n", "n", "", 0},
+         {"failed", "failed", "", 0},
+         {"mean", "mean", unit, digits},
+         {"mean_95", "95 %", unit, digits},
+         {"median", "median", unit, digits},
+         {"median_95", "95 %", unit, digits},
+         {"difference", "difference", unit, digits},
+         {"difference_95", "95 %", unit, digits}});
     if (has_target) {
       table.caption +=
           "; how many times smaller the median is than the baseline's, and the share of the gap to the target";
-      for (const char* name : {"baseline / own", "95 %", "gap closed"}) table.head.emplace_back(name);
+      add({{"baseline_over_own", "baseline / own", "", 2},
+           {"baseline_over_own_95", "95 %", "", 2},
+           {"gap_closed", "gap closed", "", 2}});
     }
     for (const auto& arm : json["arms"]) {
-      std::vector<std::string> row;
-      for (const auto& factor : factors) row.push_back(arm.at("levels").at(factor).get<std::string>());
+      std::vector<ordered_json> row;
+      for (const auto& factor : factors) row.push_back(arm.at("levels").at(factor));
       const ordered_json own = arm["metrics"].value(metric, ordered_json::object());
       const ordered_json difference = own.value("difference", ordered_json::object());
-      row.push_back(fixed_text(own, "n", 0));
-      row.push_back(std::to_string(arm.at("failed").size()));
-      row.push_back(fixed_text(own, "mean", digits));
-      row.push_back(interval_text(own, "mean_95", digits));
-      row.push_back(fixed_text(own, "median", digits));
-      row.push_back(interval_text(own, "median_95", digits));
-      row.push_back(fixed_text(difference, "mean", digits));
-      row.push_back(interval_text(difference, "mean_95", digits));
+      row.insert(row.end(), {number_at(own, "n"), arm.at("failed").size(), number_at(own, "mean"),
+                             interval_at(own, "mean_95"), number_at(own, "median"), interval_at(own, "median_95"),
+                             number_at(difference, "mean"), interval_at(difference, "mean_95")});
       if (has_target) {
         const ordered_json medians = own.value("medians", ordered_json::object());
-        for (const auto& cell :
-             {fixed_text(medians, "baseline_over_own", 2), interval_text(medians, "baseline_over_own_95", 2),
-              fixed_text(medians, "gap_closed", 2)})
-          row.push_back(cell);
+        row.insert(row.end(), {number_at(medians, "baseline_over_own"), interval_at(medians, "baseline_over_own_95"),
+                               number_at(medians, "gap_closed")});
       }
       table.rows.push_back(std::move(row));
     }
@@ -120,25 +160,27 @@ void add_planning_column(const ordered_json& column, std::vector<PaperTable>& ta
   table.caption =
       "Error of whole sessions in mm, after settling, against the width w of the material knowledge (goals: " + goals +
       ")" + warnings_of(column);
-  table.head = {"w",
-                "n",
-                "median",
-                "mean",
-                "SD",
-                "lower quartile",
-                "upper quartile",
-                "outliers",
-                "IoU",
-                "within 10 mm, %",
-                "within 20 mm, %",
-                "within 30 mm, %"};
+  table.columns = {{"width", "w", "", 2},
+                   {"n", "n", "", 0},
+                   {"median", "median", "mm", 2},
+                   {"median_95", "95 %", "mm", 2},
+                   {"mean", "mean", "mm", 2},
+                   {"mean_95", "95 %", "mm", 2},
+                   {"sd", "SD", "mm", 2},
+                   {"q1", "lower quartile", "mm", 2},
+                   {"q3", "upper quartile", "mm", 2},
+                   {"outliers", "outliers", "", 0},
+                   {"iou", "IoU", "", 3},
+                   {"within_10", "within 10 mm, %", "%", 0},
+                   {"within_20", "within 20 mm, %", "%", 0},
+                   {"within_30", "within 30 mm, %", "%", 0}};
   table.texts = 0;
   for (const auto& row : column.at("by_width")) {
-    table.rows.push_back({fixed_text(row, "width", 2), fixed_text(row, "n", 0), fixed_text(row, "median_mm", 2),
-                          fixed_text(row, "mean_mm", 2), fixed_text(row, "sd_mm", 2), fixed_text(row, "q1_mm", 2),
-                          fixed_text(row, "q3_mm", 2), fixed_text(row, "outliers", 0),
-                          fixed_text(row, "silhouette_iou", 3), percent_text(row, "success_10mm"),
-                          percent_text(row, "success_20mm"), percent_text(row, "success_30mm")});
+    table.rows.push_back({number_at(row, "width"), number_at(row, "n"), number_at(row, "median_mm"),
+                          interval_at(row, "median_95_mm"), number_at(row, "mean_mm"), interval_at(row, "mean_95_mm"),
+                          number_at(row, "sd_mm"), number_at(row, "q1_mm"), number_at(row, "q3_mm"),
+                          number_at(row, "outliers"), number_at(row, "silhouette_iou"), percent_at(row, "success_10mm"),
+                          percent_at(row, "success_20mm"), percent_at(row, "success_30mm")});
   }
   tables.push_back(std::move(table));
 }
@@ -149,6 +191,56 @@ void add_planning(const ordered_json& json, std::vector<PaperTable>& tables) {
   for (const auto& [source, column] : others.items()) add_planning_column(column, tables);
 }
 
+/// Fig. 4: the estimates of the first source and method as the segments go by.
+void add_estimation_by_segments(const ordered_json& json, std::vector<PaperTable>& tables) {
+  struct Found {
+    std::vector<double> errors, widths;
+    double held = 0.0;
+  };
+  std::vector<std::array<Found, kPropertyNames.size()>> by_segment;
+  for (const auto& one : json.value("cases", ordered_json::array())) {
+    const auto knowledge = one.value("knowledge", ordered_json::array());
+    if (by_segment.size() < knowledge.size()) by_segment.resize(knowledge.size());
+    for (std::size_t s = 0; s < knowledge.size(); ++s) {
+      for (std::size_t p = 0; p < kPropertyNames.size(); ++p) {
+        constexpr double kShare = 0.8;
+        const double error =
+            std::abs(knowledge[s].at("centre").at(p).get<double>() - one.at("true_material").at(p).get<double>());
+        const double width = knowledge[s].at("width").at(p).get<double>();
+        Found& found = by_segment[s][p];
+        found.errors.push_back(error);
+        found.widths.push_back(width);
+        found.held += error <= kShare * width / 2.0 ? 1.0 : 0.0;
+      }
+    }
+  }
+  if (by_segment.empty()) return;
+  PaperTable table;
+  table.label = "estimation-segments";
+  table.caption =
+      "Median of |c - q| and of w, and how many of the 80 % intervals hold the true value, as the segments go by "
+      "(cases: " +
+      json.value("goals", "") + ", method: " + json.value("method", "") + ")" + warnings_of(json);
+  table.columns = {{"segments", "segments", "", 0}, {"n", "n", "", 0}};
+  for (const std::string name : kPropertyNames) {
+    table.columns.push_back({name + "_error", name + " |c - q|", "", 3});
+    table.columns.push_back({name + "_width", name + " w", "", 3});
+    table.columns.push_back({name + "_held_80", name + " held, %", "%", 0});
+  }
+  table.texts = 0;
+  for (std::size_t s = 0; s < by_segment.size(); ++s) {
+    std::vector<ordered_json> row = {s, by_segment[s].front().errors.size()};
+    for (Found& found : by_segment[s]) {
+      std::sort(found.errors.begin(), found.errors.end());
+      std::sort(found.widths.begin(), found.widths.end());
+      row.insert(row.end(), {quantile(found.errors, 0.5), quantile(found.widths, 0.5),
+                             100.0 * found.held / static_cast<double>(found.errors.size())});
+    }
+    table.rows.push_back(std::move(row));
+  }
+  tables.push_back(std::move(table));
+}
+
 /// The paper's Table 1, for every method.
 void add_estimation(const ordered_json& json, std::vector<PaperTable>& tables) {
   for (const auto& [source, methods] : json.at("columns").items()) {
@@ -156,24 +248,36 @@ void add_estimation(const ordered_json& json, std::vector<PaperTable>& tables) {
     table.label = "estimation-" + source;
     table.caption = "Material estimates after the last segment (cases: " + source +
                     "); an interval that is held contains the true value" + warnings_of(json);
-    table.head = {"method",       "property",     "n",        "median |c - q|",
-                  "mean |c - q|", "SD",           "median w", "failures, %",
-                  "50 % held, %", "80 % held, %", "score"};
+    table.columns = {{"method", "method", "", 0},
+                     {"property", "property", "", 0},
+                     {"n", "n", "", 0},
+                     {"error_median", "median |c - q|", "", 3},
+                     {"error_median_95", "95 %", "", 3},
+                     {"error_mean", "mean |c - q|", "", 3},
+                     {"error_mean_95", "95 %", "", 3},
+                     {"error_sd", "SD", "", 3},
+                     {"width_median", "median w", "", 3},
+                     {"width_mean", "mean w", "", 3},
+                     {"width_sd", "SD", "", 3},
+                     {"failures", "failures, %", "%", 0},
+                     {"held_50", "50 % held, %", "%", 0},
+                     {"held_80", "80 % held, %", "%", 0},
+                     {"score", "score", "", 3}};
     table.texts = 2;
     for (const auto& [method, figures] : methods.items()) {
       const ordered_json properties = figures.value("properties", ordered_json::object());
       for (const auto& [property, row] : properties.items()) {
-        const auto& error = row.at("abs_error");
-        const auto& held = row.at("coverage");
-        table.rows.push_back({method, property, fixed_text(figures, "n", 0), fixed_text(error, "median", 3),
-                              fixed_text(error, "mean", 3), fixed_text(error, "sd", 3),
-                              fixed_text(row.at("width"), "median", 3), percent_text(row, "failure_rate"),
-                              percent_text(held, "0.5"), percent_text(held, "0.8"),
-                              fixed_text(row, "interval_score", 3)});
+        const auto &error = row.at("abs_error"), &width = row.at("width"), &held = row.at("coverage");
+        table.rows.push_back({method, property, number_at(figures, "n"), number_at(error, "median"),
+                              interval_at(error, "median_95"), number_at(error, "mean"), interval_at(error, "mean_95"),
+                              number_at(error, "sd"), number_at(width, "median"), number_at(width, "mean"),
+                              number_at(width, "sd"), percent_at(row, "failure_rate"), percent_at(held, "0.5"),
+                              percent_at(held, "0.8"), number_at(row, "interval_score")});
       }
     }
     tables.push_back(std::move(table));
   }
+  add_estimation_by_segments(json, tables);
 }
 
 void add_prediction(const ordered_json& json, std::vector<PaperTable>& tables) {
@@ -186,32 +290,32 @@ void add_prediction(const ordered_json& json, std::vector<PaperTable>& tables) {
     PaperTable table;
     table.label = std::string("prediction-") + key;
     table.caption = std::string("Error of the predicted shapes by the number of segments, ") + what;
-    table.head = {"segments", "n", "mean, mm", "median, mm", "sigma, mm", "NLL", "within sigma, %"};
+    table.columns = {{"segments", "segments", "", 0},
+                     {"n", "n", "", 0},
+                     {"mean", "mean, mm", "mm", 2},
+                     {"median", "median, mm", "mm", 2},
+                     {"sigma", "sigma, mm", "mm", 2},
+                     {"nll", "NLL", "", 3},
+                     {"within_sigma", "within sigma, %", "%", 0}};
     table.texts = 0;
     for (const auto& row : json[key]) {
-      table.rows.push_back({fixed_text(row, "steps", 0), fixed_text(row, "n", 0), fixed_text(row, "mean_mm", 2),
-                            fixed_text(row, "median_mm", 2), fixed_text(row, "sigma_mm", 2), fixed_text(row, "nll", 3),
-                            percent_text(row, "coverage_1sigma")});
+      table.rows.push_back({number_at(row, "steps"), number_at(row, "n"), number_at(row, "mean_mm"),
+                            number_at(row, "median_mm"), number_at(row, "sigma_mm"), number_at(row, "nll"),
+                            percent_at(row, "coverage_1sigma")});
     }
     tables.push_back(std::move(table));
   }
 }
 
 void add_physics(const ordered_json& json, std::vector<PaperTable>& tables) {
-  PaperTable table{"physics",
-                   "The simulator against closed forms",
-                   {"test", "case", "quantity", "reference", "measured", "error", "bound", "within"},
-                   {},
-                   3};
-  const auto number = [](const ordered_json& value) -> std::string {
-    if (!value.is_number()) return "";
-    char text[40];
-    std::snprintf(text, sizeof text, "%.4g", value.get<double>());
-    return text;
-  };
+  PaperTable table{"physics", "The simulator against closed forms", {}, {}, 3};
+  for (const char* name : {"test", "case", "quantity"}) table.columns.push_back({name, name, "", 0});
+  for (const char* name : {"reference", "measured", "error", "bound"})
+    table.columns.push_back({name, name, "", PaperColumn::kSignificant});
+  table.columns.push_back({"within", "within", "", 0});
   for (const auto& row : json.at("rows")) {
-    table.rows.push_back({row.at("test"), row.at("case"), row.at("quantity"), number(row.at("reference")),
-                          number(row.at("measured")), number(row.at("error")), number(row.at("bound")),
+    table.rows.push_back({row.at("test"), row.at("case"), row.at("quantity"), number_at(row, "reference"),
+                          number_at(row, "measured"), number_at(row, "error"), number_at(row, "bound"),
                           row.at("passed").get<bool>() ? "yes" : "no"});
   }
   tables.push_back(std::move(table));
@@ -263,6 +367,18 @@ std::string line_of(const std::vector<std::string>& row, const char* begin, cons
   return line + end;
 }
 
+/// The line of a table's heads, or of one of its rows.
+std::vector<std::string> heads_of(const PaperTable& table) {
+  std::vector<std::string> heads;
+  for (const auto& column : table.columns) heads.push_back(column.head);
+  return heads;
+}
+std::vector<std::string> texts_of(const PaperTable& table, const std::vector<ordered_json>& row) {
+  std::vector<std::string> texts;
+  for (std::size_t i = 0; i < row.size(); ++i) texts.push_back(cell_text(row[i], table.columns.at(i)));
+  return texts;
+}
+
 }  // namespace
 
 std::vector<PaperTable> paper_tables(const fs::path& folder) {
@@ -285,15 +401,26 @@ std::vector<PaperTable> paper_tables(const fs::path& folder) {
   return tables;
 }
 
+std::string cell_text(const ordered_json& cell, const PaperColumn& column) {
+  if (cell.is_null()) return "";
+  if (cell.is_string()) return cell.get<std::string>();
+  if (!cell.is_array()) return fixed_text(cell.get<double>(), column.digits);
+  return "[" + fixed_text(cell.at(0).get<double>(), column.digits) + ", " +
+         fixed_text(cell.at(1).get<double>(), column.digits) + "]";
+}
+
+std::string markdown_of(const PaperTable& table) {
+  const auto cell = [](const std::string& one, std::size_t) { return markdown_cell(one); };
+  std::string text = line_of(heads_of(table), "| ", " | ", " |\n|", cell);
+  for (std::size_t i = 0; i < table.columns.size(); ++i) text += i < table.texts ? "---|" : "---:|";
+  text += "\n";
+  for (const auto& row : table.rows) text += line_of(texts_of(table, row), "| ", " | ", " |\n", cell);
+  return text;
+}
+
 std::string markdown_of(const std::vector<PaperTable>& tables) {
   std::string text;
-  for (const auto& table : tables) {
-    const auto cell = [](const std::string& one, std::size_t) { return markdown_cell(one); };
-    text += (text.empty() ? "" : "\n") + table.caption + ".\n\n" + line_of(table.head, "| ", " | ", " |\n|", cell);
-    for (std::size_t i = 0; i < table.head.size(); ++i) text += i < table.texts ? "---|" : "---:|";
-    text += "\n";
-    for (const auto& row : table.rows) text += line_of(row, "| ", " | ", " |\n", cell);
-  }
+  for (const auto& table : tables) text += (text.empty() ? "" : "\n") + table.caption + ".\n\n" + markdown_of(table);
   return text;
 }
 
@@ -308,9 +435,9 @@ std::string latex_of(const std::vector<PaperTable>& tables) {
     };
     text += "\n\\begin{table}\n  \\centering\n  \\caption{" + latex_text(table.caption) + ".}\n  \\label{tab:" + label +
             "}\n  \\begin{tabular}{" + std::string(table.texts, 'l') +
-            std::string(table.head.size() - table.texts, 'r') + "}\n    \\toprule\n" +
-            line_of(table.head, "    ", " & ", " \\\\\n", head) + "    \\midrule\n";
-    for (const auto& row : table.rows) text += line_of(row, "    ", " & ", " \\\\\n", cell);
+            std::string(table.columns.size() - table.texts, 'r') + "}\n    \\toprule\n" +
+            line_of(heads_of(table), "    ", " & ", " \\\\\n", head) + "    \\midrule\n";
+    for (const auto& row : table.rows) text += line_of(texts_of(table, row), "    ", " & ", " \\\\\n", cell);
     text += "    \\bottomrule\n  \\end{tabular}\n\\end{table}\n";
   }
   return text;

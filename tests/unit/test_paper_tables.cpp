@@ -45,12 +45,17 @@ TEST(PaperTables, EvaluationsHaveTheirTables) {
   const Folder folder;
   const std::string by_width =
       R"("by_width": [{"width": 0.1, "n": 50, "median_mm": 1.234, "mean_mm": 2, "sd_mm": null, "q1_mm": 1, "q3_mm": 2.5,
+          "median_95_mm": [1, 1.5], "mean_95_mm": [null, 3],
           "outliers": 3, "silhouette_iou": 0.987, "success_10mm": 0.96, "success_20mm": 1, "success_30mm": 1}])";
   folder.write("planning.json", R"({"goals": "fresh", "complete": false, )" + by_width +
                                     R"(, "columns": {"test": {"goals": "test", )" + by_width + "}}}");
   folder.write("estimation.json",
-               R"({"complete": true, "columns": {"fresh": {"posterior": {"n": 50, "properties": {"bend": {
-      "abs_error": {"mean": 0.05, "median": 0.04, "sd": 0.03}, "width": {"median": 0.25}, "failure_rate": 0.02,
+               R"({"complete": true, "goals": "fresh", "method": "posterior", "cases": [
+      {"true_material": [0.5, 0.2, 0.3, 0.4], "knowledge": [{"centre": [0.5, 0.5, 0.5, 0.5], "width": [1, 1, 1, 1]},
+       {"centre": [0.6, 0.2, 0.3, 0.4], "width": [0.2, 0.1, 0.1, 0.1]}]},
+      {"true_material": [0.5, 0.5, 0.5, 0.5], "knowledge": [{"centre": [0.5, 0.5, 0.5, 0.5], "width": [1, 1, 1, 1]}]},
+      {"seed": 3, "status": "crashed", "failed": "x"}], "columns": {"fresh": {"posterior": {"n": 50, "properties": {"bend": {
+      "abs_error": {"mean": 0.05, "median": 0.04, "sd": 0.03, "median_95": [0.03, 0.06]}, "width": {"median": 0.25}, "failure_rate": 0.02,
       "coverage": {"0.5": 0.5, "0.8": 0.82}, "interval_score": 0.3}}}}}})");
   folder.write("prediction.json",
                R"({"by_step": [{"steps": 1, "n": 9, "mean_mm": 0.5, "median_mm": 0.4, "sigma_mm": 0.6,
@@ -61,12 +66,31 @@ TEST(PaperTables, EvaluationsHaveTheirTables) {
   const std::string text = markdown_of(paper_tables(folder.path()));
   EXPECT_THAT(text, HasSubstr("(goals: fresh); not all cells have run.\n"));
   EXPECT_THAT(text, HasSubstr("(goals: test).\n"));
-  EXPECT_THAT(text, HasSubstr("| 0.10 | 50 | 1.23 | 2.00 |  | 1.00 | 2.50 | 3 | 0.987 | 96 | 100 | 100 |\n"));
+  EXPECT_THAT(
+      text, HasSubstr("| 0.10 | 50 | 1.23 | [1.00, 1.50] | 2.00 |  |  | 1.00 | 2.50 | 3 | 0.987 | 96 | 100 | 100 |\n"));
   EXPECT_THAT(text, HasSubstr("| median \\|c - q\\| |"));
-  EXPECT_THAT(text, HasSubstr("| posterior | bend | 50 | 0.040 | 0.050 | 0.030 | 0.250 | 2 | 50 | 82 | 0.300 |\n"));
+  EXPECT_THAT(
+      text,
+      HasSubstr(
+          "| posterior | bend | 50 | 0.040 | [0.030, 0.060] | 0.050 |  | 0.030 | 0.250 |  |  | 2 | 50 | 82 | 0.300 |\n"));
+  EXPECT_THAT(text, HasSubstr("(cases: fresh, method: posterior).\n"));
+  EXPECT_THAT(text, HasSubstr("| 0 | 2 | 0.000 | 1.000 | 100 | 0.150 | 1.000 | 100 |"));
+  EXPECT_THAT(text, HasSubstr("| 1 | 1 | 0.100 | 0.200 | 0 | 0.000 | 0.100 | 100 |"));
   EXPECT_THAT(text, HasSubstr("| 1 | 9 | 0.50 | 0.40 | 0.60 | -1.250 | 70 |\n"));
   EXPECT_THAT(text, HasSubstr("| hanging | strip | length, m | 1.5 | 1.5 |  | 0.01 | yes |\n"));
   EXPECT_THAT(latex_of(paper_tables(folder.path())), HasSubstr("median $\\vert$c - q$\\vert$"));
+}
+
+TEST(PaperTables, AnAblationOfThePhysicsSuiteHasOneTableOfAllMetrics) {
+  const Folder folder;
+  folder.write("ablation.json", R"({"factors": ["simulator"], "cases": ["free fall"], "arms": [
+    {"name": "cloth", "levels": {"simulator": "cloth"}, "failed": [], "metrics": {"free fall: error": {"n": 1, "mean": 0.000125}}},
+    {"name": "bullet", "levels": {"simulator": "bullet"}, "failed": [], "metrics": {}}]})");
+  const auto tables = paper_tables(folder.path());
+  ASSERT_EQ(tables.size(), 2u);
+  EXPECT_EQ(tables[0].label, "ablation-summary");
+  EXPECT_EQ(markdown_of(tables[0]),
+            "| metric | cloth | bullet |\n|---|---:|---:|\n| free fall: error | 0.000125 |  |\n");
 }
 
 TEST(PaperTables, ADamagedFileIsNamed) {
