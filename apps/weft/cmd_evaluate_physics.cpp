@@ -12,6 +12,7 @@
 #include "paper_options.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
+#include "sdk/json_text.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
 #include "work_options.hpp"
@@ -50,6 +51,26 @@ std::string to_csv(const std::vector<PhysicsRow>& rows) {
   return csv;
 }
 
+/// The results of an earlier call that are those of this one too. Null if there are none, or a case of them failed to run:
+/// it may go well this time.
+/// @param config saved: the identity has no numbers of cases.
+nlohmann::ordered_json kept_results(const std::filesystem::path& out, const Identity& identity,
+                                    const std::string& config) {
+  const auto json = parse_json_if_valid(text_of_file(out / "physics.json"));
+  if (!json.is_object() || !json.contains("rows")) return nullptr;
+  const Identity earlier = read_identity(out / "provenance.json");
+  if (!earlier.is_known() || earlier.hash() != identity.hash() || text_of_file(out / "config.yaml") != config)
+    return nullptr;
+  const auto did_not_run = [](const nlohmann::ordered_json& row) {
+    for (const auto status :
+         {WorkStatus::refused, WorkStatus::diverged, WorkStatus::crashed, WorkStatus::hung, WorkStatus::lost})
+      if (row.value("quantity", "") == to_string(status)) return true;
+    return false;
+  };
+  const auto& rows = json["rows"];
+  return std::any_of(rows.begin(), rows.end(), did_not_run) ? nlohmann::ordered_json() : json;
+}
+
 int evaluate(Context& context, const std::string& file, const WorkOptions& work, const PaperOptions& paper) {
   const auto out = result_folder(context, "evaluate-" + std::filesystem::path(file).stem().string());
   const ClusterWork on_cluster = single_work("evaluate physics", "evaluate-physics", out / "physics.json");
@@ -63,6 +84,20 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
     return run_on_cluster(context, work.cluster, on_cluster,
                           [&] { write_planned_identity(out, on_cluster.label, identity); });
   const PlacedFolder placed(out);
+  const auto finish = [&](std::size_t comparisons, std::size_t failed) {
+    context.say(std::to_string(comparisons) + " comparisons, " + std::to_string(failed) + " outside their bound");
+    write_paper(context, out, paper);
+    write_page(context, out);
+    context.say("results in " + out.string());
+    return failed == 0 ? 0 : 1;
+  };
+  if (const auto kept = kept_results(out, identity, given.saved_config().to_yaml()); kept.is_object()) {
+    const std::string text = kept.dump(2) + '\n';
+    write_text(out / "physics.json", text);  // its time says that it is of today's weft too
+    if (context.json) context.output() << text;
+    context.say("everything was measured before");
+    return finish(kept.at("rows").size(), kept.at("failed").get<std::size_t>());
+  }
 
   const auto say = [&](const std::vector<PhysicsRow>& some) {
     for (const auto& row : some) context.say(format_physics_row(row));
@@ -84,6 +119,9 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   }
   if (given.host->cancelled()) throw Error("interrupted");
 
+  std::error_code ignored;
+  std::filesystem::remove(out / "physics.json",
+                          ignored);  // until the end it would be taken for that of the other files
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));
@@ -92,11 +130,7 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   write_text(out / "physics.csv", to_csv(rows));
   if (context.json) context.output() << to_json(rows);
   const auto failed = std::count_if(rows.begin(), rows.end(), [](const PhysicsRow& r) { return !r.passed; });
-  context.say(std::to_string(rows.size()) + " comparisons, " + std::to_string(failed) + " outside their bound");
-  write_paper(context, out, paper);
-  write_page(context, out);
-  context.say("results in " + out.string());
-  return failed == 0 ? 0 : 1;
+  return finish(rows.size(), static_cast<std::size_t>(failed));
 }
 
 }  // namespace

@@ -518,6 +518,34 @@ TEST(Program, EvaluatePhysicsWritesWhatItPrints) {
   EXPECT_THAT(unknown.output, HasSubstr("physics.tests.0 = freefall, must be one of elastica, "));
 }
 
+TEST(Program, EvaluatePhysicsKeepsWhatItMeasuredBefore) {
+  const Folder folder;
+  const std::string command = "evaluate physics " WEFT_SOURCE_DIR "/configs/experiments/physics.yaml --jobs 1 --out '" +
+                              (folder / "out").string() + "' --set ";
+  const auto result = [&] {
+    std::ifstream file(folder / "out/physics.json");
+    return std::string{std::istreambuf_iterator<char>(file), {}};
+  };
+  ASSERT_EQ(weft_command(command + "'physics.tests=[free fall]'").code, 0);
+  const std::string measured = result();
+  const Outcome again = weft_command(command + "'physics.tests=[free fall]'");
+  EXPECT_EQ(again.code, 0) << again.output;
+  EXPECT_THAT(again.output, AllOf(HasSubstr("everything was measured before"), HasSubstr("1 comparisons, 0 outside"),
+                                  Not(HasSubstr("ok   free fall"))));
+  EXPECT_EQ(result(), measured);
+  // Others are measured, where that is accepted.
+  const Outcome other = weft_command(command + "'physics.tests=[free fall, rest]' --accept-changed");
+  EXPECT_EQ(other.code, 0) << other.output;
+  EXPECT_THAT(other.output, HasSubstr("2 comparisons, 0 outside"));
+  // A case that did not run may run this time.
+  std::string crashed = result();
+  const std::string quantity = "\"quantity\": \"";
+  const auto at = crashed.find(quantity) + quantity.size();
+  crashed.replace(at, crashed.find('"', at) - at, "crashed");
+  std::ofstream(folder / "out/physics.json") << crashed;
+  EXPECT_THAT(weft_command(command + "'physics.tests=[free fall, rest]'").output, HasSubstr("ok   free fall"));
+}
+
 TEST(Program, AblateComparesArmsAndResumes) {
   const Folder folder;
   folder.write("task.yaml",
