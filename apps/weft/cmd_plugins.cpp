@@ -8,6 +8,7 @@
 #include "experiments/ablation.hpp"
 #include "experiments/experiment_config.hpp"
 #include "experiments/physics/physics.hpp"
+#include "experiments/reproduction.hpp"
 #include "loader/json_schema.hpp"
 #include "options.hpp"
 #include "simulation/scene.hpp"
@@ -57,6 +58,12 @@ struct FileKind {
   const char* read_by;
   std::vector<ParamInfo> (*params)();
   void (*visit)(ParamVisitor& visitor) = nullptr;  ///< null: no JSON Schema
+  /// A key with a mapping by names that people give, the keys of its values, and again for a key of these.
+  struct Named {
+    const char* key;
+    void (*visit)(ParamVisitor& visitor);
+  };
+  std::vector<Named> named = {};
 };
 template <class Params>
 void visit_params(ParamVisitor& visitor) {
@@ -64,14 +71,19 @@ void visit_params(ParamVisitor& visitor) {
   params.visit(visitor);
 }
 template <class Params>
-constexpr FileKind file_kind(const char* name, const char* read_by) {
+FileKind file_kind(const char* name, const char* read_by) {
   return {name, read_by, describe_params<Params>, visit_params<Params>};
 }
-constexpr FileKind kFileKinds[] = {
+const FileKind kFileKinds[] = {
     file_kind<SessionParams>("task", "weft run, weft plan, weft estimate"),
     file_kind<ExperimentParams>("experiment", "weft generate, weft train, weft calibrate, weft evaluate"),
     file_kind<PhysicsExperimentParams>("physics", "weft evaluate physics"),
     file_kind<AblationParams>("ablation", "weft ablate"),
+    {"reproduce",
+     "weft reproduce",
+     describe_reproduction,
+     visit_params<ReproduceParams>,
+     {{"parts", visit_params<PartParams>}, {"steps", visit_params<StepParams>}}},
     {"scene", "weft simulate", describe_scene},
     {"obstacles", "scene.obstacles of tasks, obstacles of scenes", describe_obstacles},
     file_kind<ClusterProfile>("slurm", "--on slurm:PROFILE"),
@@ -111,6 +123,15 @@ int describe_as_schema(const Context& context, const std::string& name) {
       throw ConfigError("--json-schema: there is none of " + name + " files; weft describe " + name +
                         " lists the keys");
     schema = json_schema("weft " + name + " file", file->visit, true, *registry);
+    nlohmann::ordered_json* level = &schema;
+    for (const auto& named : file->named) {
+      nlohmann::ordered_json below = json_schema("", named.visit, false, *registry);
+      for (const char* key : {"$schema", "$comment", "title", "$defs"}) below.erase(key);
+      nlohmann::ordered_json& mapping = (*level)["properties"][named.key];
+      mapping["type"] = "object";
+      mapping["additionalProperties"] = std::move(below);
+      level = &mapping["additionalProperties"];
+    }
   } else {
     const auto entry = find(*registry, name);
     const auto visit = [&](ParamVisitor& visitor) { registry->visit_params(entry, visitor); };

@@ -18,6 +18,7 @@ void register_learn(CLI::App& app, Context& context);
 void register_evaluate(CLI::App& app, Context& context);
 void register_ablate(CLI::App& app, Context& context);
 void register_benchmark(CLI::App& app, Context& context);
+void register_reproduce(CLI::App& app, Context& context);
 void register_status(CLI::App& app, Context& context);
 void register_cancel(CLI::App& app, Context& context);
 void register_export(CLI::App& app, Context& context);

@@ -1,6 +1,7 @@
 #include "context.hpp"
 
 #include <fcntl.h>
+#include <sys/prctl.h>
 #include <unistd.h>
 #include <ext/stdio_filebuf.h>
 
@@ -119,6 +120,15 @@ void Context::open_standard_streams() {
     // open() takes the lowest number that is free.
     if (fcntl(stream, F_GETFD) < 0 && open("/dev/null", O_RDWR) < 0) return;
   }
+}
+
+void Context::end_with_parent() {
+  const char* value = std::getenv(kParentVariable);
+  if (value == nullptr) return;
+  const std::string parent = value;
+  unsetenv(kParentVariable);  // its own children are not that one's
+  prctl(PR_SET_PDEATHSIG, SIGTERM);
+  if (parent != std::to_string(getppid())) raise(SIGTERM);  // it has ended before
 }
 
 void Context::complain(const std::string& line) const {

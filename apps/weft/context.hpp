@@ -14,6 +14,9 @@
 
 namespace weft::app {
 
+/// Set for a command that another weft started and follows: its process number.
+inline constexpr const char* kParentVariable = "WEFT_PARENT";
+
 /// The options that every command takes, and the objects that commands need to run. A command registers a CLI11
 /// subcommand and, if it is chosen, runs in `Context::action`. main prints errors and turns them into exit codes (0
 /// done, 1 failed, 2 wrong use).
@@ -48,6 +51,8 @@ struct Context {
   static std::ostream& output();
   /// Writes what is buffered of output() and of stdout. @throws Error with the reason if any of it was not written.
   static void flush_output();
+  /// Makes a SIGTERM reach this process when the weft that started it ends, as kParentVariable says; once, before threads begin.
+  static void end_with_parent();
   /// Opens stdin, stdout and stderr that are closed, as nothing: a result file must not get their numbers.
   static void open_standard_streams();
   /// Prints a line about a failure to stderr; nothing with --quiet.

@@ -44,6 +44,7 @@ int main(int argc, char** argv) {
   // Numbers are read and written with a point, whatever locale a library that was loaded before has set.
   std::setlocale(LC_NUMERIC, "C");
   Context::open_standard_streams();
+  Context::end_with_parent();
   CLI::App app{"weft: plans how two hands fold a piece of cloth whose fabric they do not know"};
   app.require_subcommand(1);
   app.set_version_flag("--version", std::string("weft " WEFT_VERSION " (") + commit() + ")");
@@ -63,6 +64,7 @@ int main(int argc, char** argv) {
   register_evaluate(app, context);
   register_ablate(app, context);
   register_benchmark(app, context);
+  register_reproduce(app, context);
   register_status(app, context);
   register_cancel(app, context);
   register_export(app, context);

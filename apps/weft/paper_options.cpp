@@ -65,8 +65,12 @@ void add_paper_options(CLI::App& command, PaperOptions& options) {
       ->delimiter(',')
       ->check(CLI::IsMember({"markdown", "latex"}))
       ->allow_extra_args(false);
+  add_figures_option(command, options.figures);
+}
+
+void add_figures_option(CLI::App& command, std::vector<std::string>& formats) {
   command
-      .add_option("--figures", options.figures,
+      .add_option("--figures", formats,
                   "Also draw the page's figures for papers: svg, pdf, or both with a comma, and their data as CSV")
       ->delimiter(',')
       ->check(CLI::Validator(why_no_figures, "{svg,pdf}"))

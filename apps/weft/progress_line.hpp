@@ -14,6 +14,8 @@ class ProgressLine {
   ProgressLine& operator=(const ProgressLine&) = delete;
 
   void show(const std::string& text);
+  /// Whether it stays in one place: on a terminal. Elsewhere every text is a line of its own.
+  bool is_in_place() const { return in_place_; }
   void end();
 
  private:

@@ -94,7 +94,9 @@ class Validator {
     if (!value.is_object()) return wrong;
     for (const auto& [key, member] : value.items()) {
       if (keyword == "properties" && rule.contains(key)) need(rule.at(key), member, key);
-      if (keyword == "additionalProperties" && !schema.at("properties").contains(key)) return at + ": unknown " + key;
+      if (keyword == "additionalProperties" && rule.is_object()) need(rule, member, key);
+      if (keyword == "additionalProperties" && rule == false && !schema.at("properties").contains(key))
+        return at + ": unknown " + key;
     }
     return wrong;
   }
@@ -163,6 +165,17 @@ TEST(JsonSchema, WhatWeftRefusesIsNotValid) {
       {"data: {}", "config: unknown data"},
   };
   for (const auto& [yaml, what] : wrong) EXPECT_EQ(validator.check(json_of(yaml)), what) << yaml;
+}
+
+TEST(JsonSchema, PartsAndStepsOfAReproductionAreChecked) {
+  const ordered_json schema = schema_of("reproduce");
+  const Validator validator(schema);
+  const ConfigNode shipped = ConfigNode::load(WEFT_SOURCE_DIR "/configs/reproduce.yaml");
+  EXPECT_THAT(validator.check(json_of(shipped)), IsEmpty());
+  EXPECT_EQ(validator.check(json_of("parts: {a: {steps: {s: {sed: 3}}}}")), "config.parts.a.steps.s: unknown sed");
+  EXPECT_EQ(validator.check(json_of("parts: {a: {steps: {s: {seed: -2}}}}")), "config.parts.a.steps.s.seed: minimum");
+  EXPECT_EQ(validator.check(json_of("parts: {a: {steps: {s: {command: fold}}}}")),
+            "config.parts.a.steps.s.command: enum");
 }
 
 TEST(JsonSchema, WhatWeftAcceptsIsValid) {
