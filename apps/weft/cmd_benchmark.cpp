@@ -1,4 +1,3 @@
-#include <ctime>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -6,12 +5,13 @@
 #include "experiments/benchmark/run.hpp"
 #include "experiments/cell_work.hpp"
 #include "experiments/json_numbers.hpp"
-#include "experiments/measured_page.hpp"
 #include "identity/sha256.hpp"
 #include "loader/processors.hpp"
 #include "options.hpp"
+#include "output.hpp"
 #include "prepared.hpp"
 #include "progress_line.hpp"
+#include "report/measurement.hpp"
 #include "sdk/json_text.hpp"
 
 namespace weft::app {
@@ -59,13 +59,6 @@ std::string command_of(const std::string& part, const BenchmarkCall& call, const
   return text;
 }
 
-std::string today() {
-  const std::time_t now = std::time(nullptr);
-  char text[16];
-  std::strftime(text, sizeof(text), "%Y-%m-%d", std::gmtime(&now));
-  return text;
-}
-
 /// {file, sha256} of the files that the predictor's slot names and that are there.
 ordered_json models_of(const Prepared<ExperimentParams>& given) {
   auto models = ordered_json::array();
@@ -75,7 +68,7 @@ ordered_json models_of(const Prepared<ExperimentParams>& given) {
   return models;
 }
 
-/// speed.json as it is on the disk, in the form that measured_markdown() takes, with `rows` besides.
+/// speed.json as it is on the disk, in the form that measurement_page() takes, with `rows` besides.
 class SpeedFile {
  public:
   /// Reads what an earlier run left. @throws ConfigError for a damaged file.
@@ -105,7 +98,7 @@ class SpeedFile {
     json["figures"] = ordered_json::array();
     json["rows"] = benchmark::to_json(rows);
     write_text(file_, text_of_json(json));
-    write_text(fs::path(file_).replace_extension(".md"), measured_markdown(json));
+    write_text(fs::path(file_).replace_extension(".md"), measurement_page(json));
   }
 
   std::vector<benchmark::Measured> rows;
@@ -191,11 +184,12 @@ int run_benchmark(Context& context, BenchmarkCall call) {
   }
   const std::vector<benchmark::Measured> others = speed.rows;
   for (const auto& part : call.parts) speed.set_command(part, command_of(part, call, context));
-  const ordered_json head{{"schema", "weft measurement 1"},
+  const ordered_json head{{"schema", kMeasurementSchema},
                           {"name", "speed"},
                           {"title", "Measured: speed"},
                           {"about", "What each row is and what bounds it: [speed](../speed.md)."},
                           {"size", call.quick ? "quick" : "full"},
+                          {"command", call.quick ? "weft benchmark --quick" : "weft benchmark"},
                           {"commit", commit()},
                           {"models", models_of(given)},
                           {"machine", {{"processor", machine}, {"cores", allowed_processors()}}},

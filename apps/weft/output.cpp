@@ -1,6 +1,7 @@
 #include "output.hpp"
 
 #include <cstdio>
+#include <ctime>
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
@@ -29,6 +30,15 @@ std::string shipped_text(const fs::path& file) {
   std::ifstream stream(path, std::ios::binary);
   if (!stream) throw Error(path.string() + ": cannot be read; it belongs to every installation and build of weft");
   return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+std::string today() {
+  const std::time_t now = std::time(nullptr);
+  std::tm utc{};
+  gmtime_r(&now, &utc);
+  char text[16];
+  std::strftime(text, sizeof(text), "%Y-%m-%d", &utc);
+  return text;
 }
 
 std::string text_of_file(const fs::path& file) {

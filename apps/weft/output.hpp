@@ -55,6 +55,9 @@ std::filesystem::path tree_of_weft();
 /// A text file of that tree. @param file from share/weft. @throws Error if it cannot be read.
 std::string shipped_text(const std::filesystem::path& file);
 
+/// Today's date in UTC: "2026-12-01".
+std::string today();
+
 /// A whole file; empty if it cannot be read.
 std::string text_of_file(const std::filesystem::path& file);
 

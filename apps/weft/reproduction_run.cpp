@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <csignal>
-#include <ctime>
 #include <fstream>
 
 #include "commit.hpp"
@@ -26,15 +25,6 @@ using nlohmann::ordered_json;
 constexpr double kLook = 0.2;          // s between two looks at what a command prints
 constexpr std::size_t kLongest = 100;  // characters of a progress line
 constexpr const char* kTimes = "times.json";
-
-std::string today() {
-  const std::time_t now = std::time(nullptr);
-  std::tm utc{};
-  gmtime_r(&now, &utc);
-  char text[16];
-  std::strftime(text, sizeof text, "%Y-%m-%d", &utc);
-  return text;
-}
 
 bool begins_with(const std::vector<std::string>& words, std::initializer_list<const char*> begin) {
   return words.size() >= begin.size() && std::equal(begin.begin(), begin.end(), words.begin());

@@ -395,15 +395,6 @@ std::vector<ReproductionFigure> figures_of(const Reproduction& all, const Reprod
   return figures;
 }
 
-std::string processor_name() {
-  std::ifstream stream("/proc/cpuinfo");
-  for (std::string line; std::getline(stream, line);) {
-    const auto colon = line.find(": ");
-    if (line.starts_with("model name") && colon != std::string::npos) return line.substr(colon + 2);
-  }
-  return "an unknown processor";
-}
-
 ordered_json measurement_of(const Reproduction& all, const ReproductionPart& part, const fs::path& out,
                             const Origin& origin) {
   ordered_json steps = ordered_json::array(), tables = ordered_json::array(), figures = ordered_json::array();
@@ -452,6 +443,7 @@ ordered_json measurement_of(const Reproduction& all, const ReproductionPart& par
           {"title", part.title},
           {"about", part.about},
           {"size", all.size},
+          {"command", "weft reproduce " + part.name + " --" + all.size},
           {"weft", WEFT_VERSION},
           {"commit", origin.commit},
           {"date", origin.date},

@@ -148,9 +148,6 @@ struct Origin {
   std::string commit, processor, date;
   int cores = 0;  ///< 0: unknown
 };
-/// "AMD EPYC 7B13": the name of this machine's processor.
-std::string processor_name();
-
 /// NAME.json of a part: an object of kMeasurementSchema. Null if its steps have no tables.
 /// @param out the folder of all results; the commands that the measurement names have results/reproduce-SIZE in its place.
 /// @throws ConfigError for results that are not complete, and for those of a model that is not in the folder of models.

@@ -182,8 +182,7 @@ std::string measurement_page(const ordered_json& measurement) {
   const auto name = measurement.at("name").get<std::string>();
   std::string page = "# " + measurement.at("title").get<std::string>() + "\n\n";
   if (const auto about = measurement.at("about").get<std::string>(); !about.empty()) page += about + "\n\n";
-  page += origin_line(measurement) + "\n\n```sh\nweft reproduce " + name + " --" +
-          measurement.at("size").get<std::string>() + "\n```\n";
+  page += origin_line(measurement) + "\n\n```sh\n" + measurement.at("command").get<std::string>() + "\n```\n";
   for (const auto& step : measurement.at("steps")) {
     if (const auto title = step.at("title").get<std::string>(); !title.empty()) page += "\n## " + title + "\n";
     page += "\n```sh\n";

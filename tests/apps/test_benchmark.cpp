@@ -7,7 +7,7 @@
 #include <set>
 
 #include "experiments/benchmark/run.hpp"
-#include "experiments/measured_page.hpp"
+#include "report/measurement.hpp"
 #include "unit/test_program.hpp"
 #include "unit/test_support.hpp"
 
@@ -102,31 +102,6 @@ TEST(BenchmarkTables, RowsAreReadBackAsTheyWereWritten) {
   EXPECT_EQ(benchmark::to_json(benchmark::measured_of(json)), json);
 }
 
-TEST(MeasuredPage, ShowsOriginCommandsAndCells) {
-  const ordered_json json = {{"title", "Measured: x"},
-                             {"about", ""},
-                             {"size", "full"},
-                             {"commit", "abc"},
-                             {"models", {{{"file", "m.h5"}, {"sha256", "0123456789abcdef"}}}},
-                             {"machine", {{"processor", "P"}, {"cores", 2}}},
-                             {"date", "2026-12-01"},
-                             {"steps", {{{"name", "a"}, {"title", "A"}, {"commands", {"weft benchmark a"}}}}},
-                             {"tables",
-                              {{{"label", "a/t"},
-                                {"caption", "Times"},
-                                {"texts", 1},
-                                {"columns",
-                                 {{{"name", "what"}, {"head", "what"}, {"unit", ""}, {"digits", 0}},
-                                  {{"name", "t"}, {"head", "time"}, {"unit", "ms"}, {"digits", 2}},
-                                  {{"name", "r"}, {"head", "range"}, {"unit", "ms"}, {"digits", 1}}}},
-                                {"rows", {{"one", 1.234, {1.0, 2.0}}, {"two", nullptr, nullptr}}}}}}};
-  EXPECT_EQ(
-      measured_markdown(json),
-      "# Measured: x\n\nSize `full`, commit abc, model `m.h5` (sha256 0123456789ab), P, 2 cores, 2026-12-01.\n\n## A\n\n"
-      "```sh\nweft benchmark a\n```\n\nTimes.\n\n| what | time, ms | range, ms |\n|---|---:|---:|\n"
-      "| one | 1.23 | 1.0 to 2.0 |\n| two |  |  |\n");
-}
-
 /// Every row of the smallest size, as people run it; then the folder goes on, and refuses what does not belong there.
 TEST(Benchmark, QuickMeasuresEveryRow) {
   const Folder folder;
@@ -138,7 +113,7 @@ TEST(Benchmark, QuickMeasuresEveryRow) {
   ASSERT_EQ(all.code, 0) << all.output;
   const auto json = ordered_json::parse(all.output);
   EXPECT_EQ(json, ordered_json::parse(text_of(folder / "speed/speed.json")));
-  EXPECT_EQ(text_of(folder / "speed/speed.md"), measured_markdown(json));
+  EXPECT_EQ(text_of(folder / "speed/speed.md"), measurement_page(json));
 
   benchmark::Plan plan;
   plan.is_quick = true;

@@ -29,6 +29,7 @@ ordered_json measurement(const std::string& model_hash) {
           {"title", "Fig. 3: errors"},
           {"about", "What is measured."},
           {"size", "standard"},
+          {"command", "weft reproduce fig3 --standard"},
           {"weft", "0.1.0"},
           {"commit", "0123456789ab"},
           {"date", "2026-11-30"},

@@ -22,7 +22,7 @@ std::vector<Measured> measured_of(const nlohmann::ordered_json& json);
 /// Median of a number over the samples; NaN without samples.
 double median_of(const Measured& one, const std::string& number);
 
-/// The tables of a part, in the form that measured_markdown() takes, from the rows that have samples or were left out.
+/// The tables of a part, in the form that measurement_page() takes, from the rows that have samples or were left out.
 /// Their labels are "PART/...". Empty: there are no such rows.
 nlohmann::ordered_json tables_of(const std::string& part, const std::vector<Measured>& rows);
 
