@@ -2,7 +2,7 @@
 #include <memory>
 #include <string>
 
-#include "weft/error.hpp"
+#include "sdk/wrong_result.hpp"
 
 namespace weft {
 
@@ -10,12 +10,6 @@ class Optimiser;
 class Predictor;
 class Simulator;
 class Trajectory;
-
-/// A plugin returned something that no plugin may return. The message names it.
-class WrongResult : public Error {
- public:
-  using Error::Error;
-};
 
 enum class PluginChecks {
   none,     ///< the plugin's own object: for its own tests

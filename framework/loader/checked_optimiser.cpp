@@ -44,7 +44,7 @@ class CheckedObjective final : public Objective {
         guard_.fail("it evaluates instance " + std::to_string(instance) + ", must ascend in [0, " +
                     std::to_string(instances_ - 1) + "]");
       }
-      if (!all_finite(x.col(i))) guard_.fail("a point x that it evaluates is not finite");
+      if (!all_finite(x.col(i))) guard_.fail_not_finite("a point x that it evaluates");
       if ((x.col(i).array() < bounds_.lower.array()).any() || (x.col(i).array() > bounds_.upper.array()).any())
         guard_.fail("a point x that it evaluates is out of bounds");
     }

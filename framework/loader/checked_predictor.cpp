@@ -115,7 +115,7 @@ class CheckedPrediction final : public Prediction {
     if (all_finite(gradient.controls) && all_finite(gradient.centre) && all_finite(gradient.width) &&
         all_finite(gradient.state) && all_finite(gradient.shape))
       return;
-    if (all_finite_cotangent(cotangents)) guard_.fail("a gradient from pullback() is not finite");
+    if (all_finite_cotangent(cotangents)) guard_.fail_not_finite("a gradient from pullback()");
   }
   void check(const ShapeCotangent& slope) const {
     guard_.want_size("a mean from jvp(), counted in rows,", slope.mean.rows(), sizes_.vertices);
@@ -163,7 +163,7 @@ class CheckedTrainable final : public TrainablePredictor {
         const Index segments = std::ssize(row.factor);
         guard_.want_size("added_m of a row from calibrate()", std::ssize(row.added_m), segments);
         guard_.want_size("shapes of a row from calibrate()", std::ssize(row.shapes), segments);
-        if (!all_finite(row.factor) || !all_finite(row.added_m)) guard_.fail("a row from calibrate() is not finite");
+        if (!all_finite(row.factor) || !all_finite(row.added_m)) guard_.fail_not_finite("a row from calibrate()");
       }
       return report;
     });

@@ -77,7 +77,7 @@ class CheckedSimulator final : public Simulator {
         guard_.fail("settle() took " + std::to_string(result.frames) + " frames, must be in [0, " +
                     std::to_string(criterion.max_frames) + "]");
       }
-      if (!all_finite(&result.max_speed, 1)) guard_.fail("max_speed from settle() is not finite");
+      if (!all_finite(&result.max_speed, 1)) guard_.fail_not_finite("max_speed from settle()");
       return result;
     });
   }
@@ -95,7 +95,7 @@ class CheckedSimulator final : public Simulator {
     return guard_.call("diagnostics()", [&] {
       SimulatorDiagnostics result = plugin_->diagnostics();
       const double numbers[] = {result.max_speed, result.max_strain, result.max_grasp_strain};
-      if (!all_finite(numbers, 3)) guard_.fail("a speed or strain from diagnostics() is not finite");
+      if (!all_finite(numbers, 3)) guard_.fail_not_finite("a speed or strain from diagnostics()");
       return result;
     });
   }
@@ -124,8 +124,8 @@ class CheckedSimulator final : public Simulator {
       guard_.fail_size(("positions(), counted in rows, after " + after).c_str(), x.rows(), vertices_);
     if (v.rows() != vertices_)
       guard_.fail_size(("velocities(), counted in rows, after " + after).c_str(), v.rows(), vertices_);
-    if (!all_finite(x)) guard_.fail("a position after " + after + " is not finite");
-    if (!all_finite(v)) guard_.fail("a velocity after " + after + " is not finite");
+    if (!all_finite(x)) guard_.fail_not_finite("a position after " + after);
+    if (!all_finite(v)) guard_.fail_not_finite("a velocity after " + after);
   }
   void check_held(const std::string& after, Index wanted) {
     const std::vector<Index> held = plugin_->grasped();

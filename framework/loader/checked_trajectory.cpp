@@ -56,7 +56,7 @@ class CheckedTrajectory final : public Trajectory {
     check_state_given(state);
     return guard_.call("progress()", [&] {
       const double progress = plugin_->progress(state);
-      if (!all_finite(&progress, 1) && all_finite(state)) guard_.fail("progress() is not finite");
+      if (!all_finite(&progress, 1) && all_finite(state)) guard_.fail_not_finite("progress()");
       return progress;
     });
   }
@@ -160,7 +160,7 @@ class CheckedTrajectory final : public Trajectory {
       for (const auto& v : variables) {
         const double numbers[] = {v.lower, v.upper, v.default_value, v.scale};
         const std::string name = std::string(call) + ": '" + v.name + "' ";
-        if (!all_finite(numbers, 4)) guard_.fail(name + "has a bound, default or scale that is not finite");
+        if (!all_finite(numbers, 4)) guard_.fail_not_finite(name + "has a bound, default or scale that");
         if (v.lower > v.upper) guard_.fail(name + "has a lower bound > the upper");
         if (!(v.scale > 0.0)) guard_.fail(name + "has no scale > 0");
       }

@@ -76,9 +76,12 @@ void rethrow_named(const std::string& name) { rethrow_with(where_text(), name, t
 void rethrow_named_but_config(const std::string& name) { rethrow_with(where_text(), name, false); }
 void rethrow_unblamed() { rethrow_with("", "", true); }
 
-void Guard::fail(const std::string& problem) const {
-  throw NamedError<WrongResult>(where_text() + ": " + problem + "; `weft conformance " + name_ +
-                                "` shows what it must be");
+std::string Guard::wrong_result(const std::string& problem) const {
+  return where_text() + ": " + problem + "; `weft conformance " + name_ + "` shows what it must be";
+}
+void Guard::fail(const std::string& problem) const { throw NamedError<WrongResult>(wrong_result(problem)); }
+void Guard::fail_not_finite(const std::string& what) const {
+  throw NamedError<NotFinite>(wrong_result(what + " is not finite"));
 }
 void Guard::fail_size(const char* what, Index got, Index wanted) const {
   fail(std::string(what) + " has size " + std::to_string(got) + ", must have " + std::to_string(wanted));

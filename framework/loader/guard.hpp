@@ -64,8 +64,10 @@ class Guard {
   template <class Array, class... Given>
   void want_finite(const char* what, const Array& array, const Given&... given) const {
     if (!all_finite(array) && (all_finite(given) && ...)) [[unlikely]]
-      fail(std::string(what) + " is not finite");
+      fail_not_finite(what);
   }
+  /// @throws NotFinite. @param what as above.
+  [[noreturn]] void fail_not_finite(const std::string& what) const;
   /// @throws WrongResult: "optimiser adam, planning, segment 3: <problem>; ..."
   [[noreturn]] void fail(const std::string& problem) const;
   [[noreturn]] void fail_size(const char* what, Index got, Index wanted) const;
@@ -82,6 +84,7 @@ class Guard {
   bool callers_too() const { return callers_too_; }
 
  private:
+  std::string wrong_result(const std::string& problem) const;
   std::string name_;   // "adam"
   std::string label_;  // "optimiser adam"
   bool callers_too_;

@@ -7,6 +7,7 @@
 #include <system_error>
 
 #include "sdk/machine_failure.hpp"
+#include "sdk/wrong_result.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -33,6 +34,8 @@ WorkFailure current_failure() {
   try {
     throw;
   } catch (const Diverged& error) {
+    return failure(WorkStatus::diverged, error.what());
+  } catch (const NotFinite& error) {
     return failure(WorkStatus::diverged, error.what());
   } catch (const std::bad_alloc&) {
     return failure(WorkStatus::lost, "there was not enough memory");

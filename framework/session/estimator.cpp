@@ -129,7 +129,7 @@ class EstimationObjective final : public Objective {
       result.costs(i) = shape_cost(shapes, wanted.gradients ? &cotangents[i] : nullptr) + prior + 0.5 * start * start;
     }
     if (wanted.gradients) {
-      const auto gradients = prediction->pullback(cotangents);
+      const auto gradients = pullback(*prediction, cases, cotangents);
       result.gradients = Matrix::Zero(dim(), n);
       for (Index i = 0; i < n; ++i) {
         if (!std::isfinite(result.costs(i))) continue;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
 
 namespace weft {
 namespace {
@@ -135,7 +137,58 @@ std::vector<ShapeCotangent> difference(const std::vector<ShapeDistribution>& bas
   return derivatives;
 }
 
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+/// Prediction::jvp(), case by case if one of the batch diverges.
+std::vector<std::vector<std::vector<ShapeCotangent>>> jvp_of(
+    const Prediction& prediction, const std::vector<std::vector<CaseDirection>>& directions) {
+  try {
+    return prediction.jvp(directions);
+  } catch (const Diverged&) {  // found below
+  }
+  std::vector<std::vector<std::vector<ShapeCotangent>>> result(directions.size());
+  for (std::size_t i = 0; i < directions.size(); ++i) {
+    std::vector<std::vector<CaseDirection>> alone(directions.size());
+    for (const auto& direction : directions[i]) {
+      alone[i] = {direction};
+      try {
+        result[i].push_back(std::move(prediction.jvp(alone).at(i).at(0)));
+      } catch (const Diverged&) {
+        std::vector<ShapeCotangent> none;
+        for (const auto& shape : prediction.shapes().at(i))
+          none.push_back({Positions::Constant(shape.mean.rows(), 3, kNaN),
+                          Positions::Constant(shape.sigma.rows(), shape.sigma.cols(), kNaN)});
+        result[i].push_back(std::move(none));
+      }
+    }
+  }
+  return result;
+}
+
 }  // namespace
+
+std::vector<CaseGradient> pullback(const Prediction& prediction, const std::vector<PredictionCase>& cases,
+                                   const std::vector<std::vector<ShapeCotangent>>& cotangents) {
+  try {
+    return prediction.pullback(cotangents);
+  } catch (const Diverged&) {  // found below
+  }
+  std::vector<CaseGradient> result(cases.size());
+  for (std::size_t i = 0; i < cases.size(); ++i) {
+    if (!prediction.failure(i).empty()) continue;
+    std::vector<std::vector<ShapeCotangent>> alone(cases.size());
+    for (std::size_t k = 0; k < cases.size(); ++k) alone[k].resize(cotangents[k].size());
+    alone[i] = cotangents[i];
+    try {
+      result[i] = std::move(prediction.pullback(alone).at(i));
+    } catch (const Diverged&) {
+      result[i].controls = Controls::Constant(cases[i].controls.rows(), cases[i].controls.cols(), kNaN);
+      result[i].centre.setConstant(kNaN);
+      result[i].width.setConstant(kNaN);
+    }
+  }
+  return result;
+}
 
 std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predictor, const Prediction& prediction,
                                                           const std::vector<PredictionCase>& cases,
@@ -143,7 +196,7 @@ std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predi
                                                           const Trajectory& trajectory, Moments moments,
                                                           const JvpOptions& options, Index* predicted) {
   check(cases, directions);
-  if (predictor.capabilities().jvp) return prediction.jvp(directions);
+  if (predictor.capabilities().jvp) return jvp_of(prediction, directions);
 
   std::vector<std::vector<std::vector<ShapeCotangent>>> result(cases.size());
   for (std::size_t i = 0; i < cases.size(); ++i) {

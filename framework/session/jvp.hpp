@@ -15,7 +15,7 @@ struct JvpOptions {
 /// Directional derivatives of a batch of predictions: the predictor's jvp if it declares one, else central differences.
 /// The differences evaluate both sides of every direction, in batches. Centre and width stay within [0, 1]: a side that
 /// would leave it is shortened. A perturbed case without a result is replaced by the unperturbed one. If both sides
-/// have no result, the derivative is NaN.
+/// have no result, the derivative is NaN; so it is where the predictor's jvp diverges.
 ///
 /// A loss holds the release segment fixed (eq. 5), but the differences do not. A predictor that computes the release
 /// from the controls may release a perturbed case one segment earlier or later.
@@ -29,5 +29,11 @@ std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(const Predictor& predi
                                                           const std::vector<std::vector<CaseDirection>>& directions,
                                                           const Trajectory& trajectory, Moments moments,
                                                           const JvpOptions& options = {}, Index* predicted = nullptr);
+
+/// Prediction::pullback() of a batch. Where a case's derivative diverges it is NaN, so that only its own search has a failed
+/// evaluation.
+/// @param prediction of `cases`, made with `gradients`.
+std::vector<CaseGradient> pullback(const Prediction& prediction, const std::vector<PredictionCase>& cases,
+                                   const std::vector<std::vector<ShapeCotangent>>& cotangents);
 
 }  // namespace weft

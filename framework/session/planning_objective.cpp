@@ -172,7 +172,7 @@ Evaluation PlanningObjective::evaluate(ConstMatrix x, const std::vector<Index>& 
     if (moments_ != Moments::mean) cotangents[i].front().sigma = std::move(terms[i].d_sigma);
   }
   if (wanted.gradients) {
-    const auto gradients = prediction->pullback(cotangents);
+    const auto gradients = pullback(*prediction, cases, cotangents);
     result.gradients = Matrix::Zero(dim(), n);
     for (Index i = 0; i < n; ++i) {
       if (!std::isfinite(result.costs(i))) continue;

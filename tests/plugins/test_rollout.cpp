@@ -8,6 +8,7 @@
 #include "predictor/rollout/rollout.cpp"  // the classes are compiled in: what is tested here does not need the loader
 #include "trajectory/arc/arc.cpp"
 #include "unit/serial_host.hpp"
+#include "unit/test_support.hpp"
 
 namespace weft::rollout {
 namespace {
@@ -363,9 +364,42 @@ TEST(Rollout, DivergenceCostsOnlyItsCase) {
   to_the_hole[0].controls(0, 3) = 1.0;
   toy.host.diverge_above = 0.0;  // from the next bind() on, no step is possible
   toy.predictor->bind(toy.task);
-  const auto slopes = prediction->jvp({to_the_hole, to_the_hole});
-  EXPECT_EQ(slopes[0][0].back().mean.rows(), 0);
-  EXPECT_TRUE(slopes[1][0].back().mean.array().isNaN().all());
+  EXPECT_THAT(test::message_of<Diverged>([&] {
+                prediction->jvp({to_the_hole, to_the_hole});
+              }),
+              testing::HasSubstr("no difference has a result: "));
+  EXPECT_THAT(test::message_of<Diverged>([&] { prediction->pullback(cotangents); }),
+              testing::HasSubstr("no difference has a result: "));
+}
+
+/// A difference that diverges on one side is made on the other side.
+TEST(Rollout, ADifferenceUsesTheSideThatDoesNotDiverge) {
+  Bound toy(fine(1));
+  const PredictionCase one = toy_case(toy.task);
+  std::vector<CaseDirection> up(1);
+  up[0].controls = Controls::Zero(one.controls.rows(), one.controls.cols());
+  up[0].controls(0, 3) = 1.0;
+  const auto slope_below = [&](double height) {
+    toy.host.diverge_above = height;
+    toy.predictor->bind(toy.task);
+    const auto prediction =
+        toy.predictor->predict({one}, {.gradients = true, .control_gradients = true, .knowledge_gradients = false});
+    EXPECT_EQ(prediction->failure(0), "");
+    return prediction->jvp({up})[0][0].back().mean;
+  };
+  const Positions free = slope_below(1e9);
+  double farthest = 0.0;  // x of the hands, beyond which the toy diverges
+  Vector state = one.state;
+  for (Index j = 0; j < one.segments.back(); ++j) {
+    const SegmentPath path =
+        toy.task.trajectory->segment(toy.task.manipulation, state, one.controls.row(j).transpose());
+    for (const auto& targets : path.targets) farthest = std::max(farthest, targets.col(0).maxCoeff());
+    state = path.end_state;
+  }
+  const Positions one_sided = slope_below(farthest + 1e-9);
+  EXPECT_TRUE(one_sided.allFinite());
+  EXPECT_LT((one_sided - free).cwiseAbs().maxCoeff(), 0.05 * free.cwiseAbs().maxCoeff());
+  EXPECT_NE(one_sided, free) << "nothing diverged";
 }
 
 TEST(Rollout, RefusesWrongInput) {

@@ -26,13 +26,29 @@ struct Formula final : Prediction {
   }
   const std::vector<std::vector<ShapeDistribution>>& shapes() const override { return all; }
   const std::string& failure(std::size_t i) const override { return failures.at(i); }
-  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>&) const override {
-    throw Unsupported("formula");
+  /// Of each case, the number of its shapes that count. The derivative of case `without_derivative` diverges.
+  std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const override {
+    std::vector<CaseGradient> gradients(cotangents.size());
+    for (std::size_t i = 0; i < cotangents.size(); ++i) {
+      double count = 0.0;
+      for (const auto& one : cotangents[i]) count += one.mean.rows() > 0 ? 1.0 : 0.0;
+      if (i == without_derivative && count > 0.0) throw Diverged("formula");
+      gradients[i].controls = Controls::Constant(3, 1, count);
+    }
+    return gradients;
   }
   std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
       const std::vector<std::vector<CaseDirection>>& directions) const override {
-    return std::vector<std::vector<std::vector<ShapeCotangent>>>(directions.size());
+    std::vector<std::vector<std::vector<ShapeCotangent>>> result(directions.size());
+    for (std::size_t i = 0; i < directions.size(); ++i) {
+      if (i == without_derivative && !directions[i].empty()) throw Diverged("formula");
+      for (const auto& direction : directions[i])
+        result[i].push_back({{Positions::Constant(1, 3, direction.controls(0, 0)), Positions::Zero(1, 3)}});
+    }
+    return result;
   }
+  static constexpr std::size_t none = 99;
+  std::size_t without_derivative = none;
   std::vector<std::vector<ShapeDistribution>> all;
   std::vector<std::string> failures;
 };
@@ -165,6 +181,33 @@ TEST_F(Jvp, ThePredictorsOwnComesFirst) {
   predictor.has_jvp = true;
   EXPECT_EQ(derive({start()}, {{along(1, 0, 0)}}).size(), 1u);
   EXPECT_TRUE(predictor.batches.empty());
+}
+
+TEST_F(Jvp, ADerivativeThatDivergesCostsItsCaseOnly) {
+  predictor.has_jvp = true;
+  const std::vector<PredictionCase> cases(3, start());
+  Formula prediction(cases, 1e9);
+  prediction.without_derivative = 1;
+  const std::vector<CaseDirection> both{along(1, 0, 0), along(2, 0, 0)};
+  const auto slopes = jvp(predictor, prediction, cases, {both, both, both}, trajectory, Moments::mean_and_sigma);
+  for (const std::size_t i : {0u, 2u}) {
+    EXPECT_EQ(slopes[i][0][0].mean, Positions::Constant(1, 3, 1.0));
+    EXPECT_EQ(slopes[i][1][0].mean, Positions::Constant(1, 3, 2.0));
+  }
+  ASSERT_EQ(slopes[1].size(), 2u);
+  ASSERT_EQ(slopes[1][1].size(), 2u);
+  for (const auto& slope : slopes[1][1]) {
+    EXPECT_TRUE(slope.mean.array().isNaN().all());
+    EXPECT_TRUE(slope.sigma.array().isNaN().all());
+  }
+  const std::vector<ShapeCotangent> ones(2, {Positions::Ones(1, 3), Positions()});
+  const auto gradients = pullback(prediction, cases, {ones, ones, ones});
+  EXPECT_EQ(gradients[0].controls, Controls::Constant(3, 1, 2.0));
+  EXPECT_EQ(gradients[2].controls, Controls::Constant(3, 1, 2.0));
+  EXPECT_TRUE(gradients[1].controls.array().isNaN().all());
+  EXPECT_TRUE(gradients[1].centre.array().isNaN().all());
+  prediction.without_derivative = Formula::none;
+  EXPECT_EQ(pullback(prediction, cases, {ones, ones, ones})[1].controls, Controls::Constant(3, 1, 2.0));
 }
 
 TEST_F(Jvp, RefusesWrongSizes) {

@@ -16,6 +16,7 @@
 #include "processes/work_status.hpp"
 #include "processes/worker_process.hpp"
 #include "sdk/machine_failure.hpp"
+#include "sdk/wrong_result.hpp"
 #include "test_support.hpp"
 #include "weft/error.hpp"
 
@@ -215,6 +216,9 @@ TEST(WorkStatus, IsThatOfTheException) {
   };
   EXPECT_EQ(status_of([] { throw ConfigError("no"); }).status, WorkStatus::refused);
   EXPECT_EQ(status_of([] { throw Diverged("nan"); }).status, WorkStatus::diverged);
+  EXPECT_EQ(status_of([] { throw NotFinite("simulator mine: a position after step() is not finite"); }).status,
+            WorkStatus::diverged);
+  EXPECT_EQ(status_of([] { throw WrongResult("x has size 0"); }).status, WorkStatus::refused);
   EXPECT_EQ(status_of([] { throw 42; }).status, WorkStatus::refused);
   // What the machine refused is tried again.
   EXPECT_EQ(status_of([] { throw std::bad_alloc(); }).status, WorkStatus::lost);

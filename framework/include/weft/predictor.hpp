@@ -75,10 +75,10 @@ class WEFT_API Prediction {
   /// Why case i has no result (such as: its simulation diverged), or empty. A failed case has no shapes.
   virtual const std::string& failure(std::size_t i) const = 0;
   /// Gradient of a loss L on the shapes: cotangents [cases][case.segments]. @return [cases].
-  /// @throws Unsupported unless the prediction was made with `gradients`. The default always throws.
+  /// @throws Unsupported unless made with `gradients` (the default: always); Diverged if one is not finite: weft asks case by case then.
   virtual std::vector<CaseGradient> pullback(const std::vector<std::vector<ShapeCotangent>>& cotangents) const;
   /// Directional derivatives: [cases][directions of that case][case.segments].
-  /// @throws Unsupported as pullback(), and without the capability jvp. The default always throws.
+  /// @throws as pullback(); Unsupported without the capability jvp. The default always throws.
   virtual std::vector<std::vector<std::vector<ShapeCotangent>>> jvp(
       const std::vector<std::vector<CaseDirection>>& directions) const;
 };

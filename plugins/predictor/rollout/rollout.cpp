@@ -1,6 +1,7 @@
 #include "rollout.hpp"
 
 #include <cmath>
+#include <optional>
 
 namespace weft::rollout {
 namespace {
@@ -194,6 +195,7 @@ class RolloutPrediction final : public PlainPrediction {
       }
     }
     std::vector<ShapeCotangent> derivatives;
+    const auto& here = early_[i];
     if (largest == 0.0) {
       for (const auto& shape : shapes_[i])
         derivatives.push_back(
@@ -202,21 +204,47 @@ class RolloutPrediction final : public PlainPrediction {
     }
     double step = 1.0 / largest;
     if (!is_inside(one, direction, step) && is_inside(one, direction, -step)) step = -step;
-    const bool central = owner_.params_.difference == "central" && is_inside(one, direction, -step);
-    try {
-      const auto there = perturbed_along(i, direction, step, from);
-      const auto back = central ? perturbed_along(i, direction, -step, from) : early_[i];
-      const double length = central ? 2.0 * step : step;
-      for (std::size_t s = 0; s < there.size(); ++s)
-        derivatives.push_back({(there[s].mean - back[s].mean) / length, (there[s].sigma - back[s].sigma) / length});
-    } catch (const Diverged&) {
-      for (const auto& shape : shapes_[i]) {
-        const double none = std::numeric_limits<double>::quiet_NaN();
-        derivatives.push_back({Positions::Constant(shape.mean.rows(), 3, none),
-                               Positions::Constant(shape.sigma.rows(), shape.sigma.cols(), none)});
-      }
-    }
+    const auto sides = sides_of<std::vector<ShapeDistribution>>(
+        step, is_inside(one, direction, -step),
+        [&](double amount) { return perturbed_along(i, direction, amount, from); });
+    const auto& there = sides.there ? *sides.there : here;
+    const auto& back = sides.back ? *sides.back : here;
+    for (std::size_t s = 0; s < there.size(); ++s)
+      derivatives.push_back(
+          {(there[s].mean - back[s].mean) / sides.length, (there[s].sigma - back[s].sigma) / sides.length});
     return derivatives;
+  }
+
+  /// The two sides of a difference; what is missing is replaced by the unperturbed value.
+  template <class Value>
+  struct Sides {
+    std::optional<Value> there, back;
+    double length = 0.0;  ///< from the one to the other
+  };
+  /// @param step of the first side. @param has_back whether the other side may be evaluated. It is if differences are
+  /// central, or if the first side diverges. @throws Diverged if no side has a value.
+  template <class Value, class Evaluate>
+  Sides<Value> sides_of(double step, bool has_back, const Evaluate& evaluate) const {
+    Sides<Value> sides;
+    std::string why;
+    const auto value_at = [&](double amount) -> std::optional<Value> {
+      try {
+        return evaluate(amount);
+      } catch (const Diverged& error) {
+        why = error.what();
+        return std::nullopt;
+      }
+    };
+    sides.there = value_at(step);
+    if (has_back && (!sides.there || owner_.params_.difference == "central")) sides.back = value_at(-step);
+    if (!sides.there && !sides.back) throw Diverged("rollout: no difference has a result: " + why);
+    sides.length = (sides.there ? step : 0.0) + (sides.back ? step : 0.0);
+    return sides;
+  }
+  template <class Evaluate>
+  double quotient(double step, bool has_back, double here, const Evaluate& evaluate) const {
+    const auto sides = sides_of<double>(step, has_back, evaluate);
+    return (sides.there.value_or(here) - sides.back.value_or(here)) / sides.length;
   }
 
   /// Whether knowledge stays within [0, 1] and no control passes a bound, where the direction moves them.
@@ -371,16 +399,11 @@ class RolloutPrediction final : public PlainPrediction {
     const auto variable = owner_.task_.trajectory->controls()[control];
     double step = owner_.params_.step * variable.scale;
     // Step inwards where the control stands at its upper bound.
-    if (cases_[i].controls(segment, control) + step > variable.upper) step = -step;
-    try {
-      const double there = perturbed_control(i, segment, control, step, cotangents);
-      if (owner_.params_.difference == "central") {
-        return (there - perturbed_control(i, segment, control, -step, cotangents)) / (2.0 * step);
-      }
-      return (there - dot(early_[i], cotangents)) / step;
-    } catch (const Diverged&) {
-      return std::numeric_limits<double>::quiet_NaN();  // the optimiser counts this evaluation as failed
-    }
+    const double value = cases_[i].controls(segment, control);
+    if (value + step > variable.upper) step = -step;
+    const bool is_inside = value - step >= variable.lower && value - step <= variable.upper;
+    return quotient(step, is_inside || owner_.params_.difference == "central", dot(early_[i], cotangents),
+                    [&](double change) { return perturbed_control(i, segment, control, change, cotangents); });
   }
 
   double perturbed_knowledge(std::size_t i, Index entry, double change,
@@ -397,15 +420,8 @@ class RolloutPrediction final : public PlainPrediction {
     double step = owner_.params_.knowledge_step;
     if (value + step > 1.0) step = -step;
     const bool has_both_sides = value - step >= 0.0 && value - step <= 1.0;
-    try {
-      const double there = perturbed_knowledge(i, entry, step, cotangents);
-      if (owner_.params_.difference == "central" && has_both_sides) {
-        return (there - perturbed_knowledge(i, entry, -step, cotangents)) / (2.0 * step);
-      }
-      return (there - dot(early_[i], cotangents)) / step;
-    } catch (const Diverged&) {
-      return std::numeric_limits<double>::quiet_NaN();
-    }
+    return quotient(step, has_both_sides, dot(early_[i], cotangents),
+                    [&](double change) { return perturbed_knowledge(i, entry, change, cotangents); });
   }
 
   const RolloutPredictor& owner_;

@@ -1,0 +1,8 @@
+#include "sdk/wrong_result.hpp"
+
+namespace weft {
+
+WrongResult::~WrongResult() = default;
+NotFinite::~NotFinite() = default;
+
+}  // namespace weft
