@@ -5,6 +5,7 @@
 #include <chrono>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <thread>
 #include <tuple>
 #include <utility>
@@ -17,6 +18,7 @@
 #include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
 #include "simulation/fold.hpp"
+#include "simulation/hand_limits.hpp"
 
 namespace weft {
 
@@ -175,6 +177,9 @@ Example make_example(Simulator& simulator, const Task& task, const DataParams& p
   }
   FoldResult fold;
   try {
+    // What the hands cannot do is nothing to learn from: no plan will ask for it.
+    if (task.hands.any())
+      controls = within_limits(task, task.trajectory->initial_state(task.manipulation), {}, controls).controls;
     fold = simulate_fold(simulator, task, example.q, controls);
   } catch (...) {
     return failed_example(seed, index, controls.cols(), current_failure());
@@ -206,9 +211,10 @@ struct ShardRange {
 
 /// The examples of a complete file that need not be made; empty if the file must be made. A damaged one is reported.
 /// @param range is widened to all examples of a file that is made again in part.
+/// @param damaged numbers of the files that were reported; those of this call are added.
 /// @throws ConfigError if it belongs to another dataset.
 std::vector<Example> kept_examples(const fs::path& file, ShardRange& range, const DatasetHeader& header, Retry retry,
-                                   GenerateReport& report, Host& host) {
+                                   GenerateReport& report, std::set<std::int64_t>& damaged, Host& host) {
   if (!fs::exists(file)) return {};
   Shard shard;
   try {
@@ -216,6 +222,7 @@ std::vector<Example> kept_examples(const fs::path& file, ShardRange& range, cons
   } catch (const ReadError&) {
     throw;  // it may be whole, so it is not made again
   } catch (const ConfigError& error) {
+    if (!damaged.insert(range.number).second) return {};
     ++report.refused;
     host.log(LogLevel::warning, std::string(error.what()) + "; it is made again");
     return {};
@@ -322,7 +329,8 @@ class Production {
   bool over() const { return stopping_ || host_.cancelled(); }
 
   std::vector<Example> look(ShardRange& range) {
-    return kept_examples(options_.folder / shard_name(range.number), range, header_, options_.retry, report_, host_);
+    return kept_examples(options_.folder / shard_name(range.number), range, header_, options_.retry, report_, damaged_,
+                         host_);
   }
   void keep(const std::vector<Example>& examples) {
     report_.kept += static_cast<std::int64_t>(examples.size());
@@ -447,6 +455,7 @@ class Production {
   std::atomic<bool> stopping_ = false;
   std::mutex mutex_;  ///< for what follows
   GenerateReport report_;
+  std::set<std::int64_t> damaged_;  ///< files
   std::int64_t total_ = 0;
   std::vector<ShardRange> missing_;  ///< that no thread has claimed
   std::shared_ptr<Open> open_;       ///< the file whose examples are handed out

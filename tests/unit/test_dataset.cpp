@@ -14,6 +14,7 @@
 #include "learning/held_out.hpp"
 #include "sdk/machine_failure.hpp"
 #include "simulation/fold.hpp"
+#include "simulation/hand_limits.hpp"
 #include "toy_trajectory.hpp"
 #include "unit/test_support.hpp"
 #include "weft/dataset.hpp"
@@ -167,7 +168,7 @@ TEST(Dataset, BytesDoNotDependOnThreadsPartsOrInterruptions) {
   std::filesystem::remove(folder / "parts" / shard_name(0));
   std::ofstream(folder / "parts" / "shard-00000.h5.tmp99") << "half";
   const GenerateReport repaired = generate(folder / "parts", 37, one);
-  EXPECT_GE(repaired.refused, 1);
+  EXPECT_EQ(repaired.refused, 2) << "each damaged file is reported once";
   EXPECT_EQ(contents(folder / "parts"), whole);
   EXPECT_FALSE(std::filesystem::exists(folder / "parts" / "shard-00000.h5.tmp99"));
 
@@ -234,6 +235,30 @@ TEST(Dataset, LoadsWhatWasSimulated) {
   }
   EXPECT_EQ(load_dataset(folder / "d", 3).examples.size(), 3u);
   EXPECT_THROW(data.shape(0, 100), ShapeError);
+}
+
+TEST(Dataset, ExamplesKeepTheLimitsOfTheHands) {
+  Task task = toy_task();
+  ToySimulator simulator(1e9);
+  Index exceeding = 0;
+  for (const double limit : {HandLimits::kNone, 0.6}) {
+    task.hands.speed = limit;
+    for (std::int64_t i = 0; i < 20; ++i) {
+      const Example made = make_example(simulator, task, small_shards(), 5, i);
+      HandMotionMeter meter(task.hands, task.manipulation.grasp_points, {});
+      Vector state = made.states.row(0).transpose();
+      for (Index j = 0; j < made.segments(); ++j) {
+        const SegmentPath path = task.trajectory->segment(task.manipulation, state, made.controls.row(j).transpose());
+        for (const auto& targets : path.targets) meter.add(targets);
+        state = path.end_state;
+      }
+      if (limit == HandLimits::kNone)
+        exceeding += meter.motion().speed > 0.6;
+      else
+        EXPECT_LE(meter.motion().speed, 0.6 * 1.001) << i;
+    }
+  }
+  EXPECT_GT(exceeding, 5) << "the limit is so wide that the test shows little";
 }
 
 TEST(Dataset, ShapesCanStayInTheFiles) {
