@@ -400,10 +400,12 @@ void write_still(const std::filesystem::path& file, const StillPainter& painter,
   image.width = static_cast<png_uint_32>(painter.options().width);
   image.height = static_cast<png_uint_32>(painter.options().height);
   image.format = PNG_FORMAT_RGBA;
-  WholeFile whole(file);
-  if (png_image_write_to_file(&image, whole.temporary().c_str(), 0, pixels.data(), 0, nullptr) == 0)
-    whole.fail(image.message);
-  whole.commit();
+  // Not into a file by libpng itself, which does not say why it cannot be written.
+  std::string bytes(PNG_IMAGE_PNG_SIZE_MAX(image), '\0');
+  png_alloc_size_t size = bytes.size();
+  if (png_image_write_to_memory(&image, bytes.data(), &size, 0, pixels.data(), 0, nullptr) == 0)
+    throw Error(file.string() + ": cannot be made: " + image.message);
+  write_text(file, std::string_view(bytes).substr(0, size));
 }
 
 }  // namespace weft::app

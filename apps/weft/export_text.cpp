@@ -1,6 +1,5 @@
 #include <cmath>
 #include <cstdio>
-#include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "exports.hpp"
@@ -13,26 +12,22 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Writes a text line by line; the file appears whole or not at all.
+/// A text that is made line by line; the file appears whole or not at all.
 class TextFile {
  public:
-  explicit TextFile(fs::path file) : whole_(std::move(file)), stream_(whole_.temporary()) {}
+  explicit TextFile(fs::path file) : file_(std::move(file)) {}
   template <class... Values>
   void print(const char* format, auto value, Values... values) {
     char text[256];
     const int size = std::snprintf(text, sizeof(text), format, value, values...);
-    stream_.write(text, std::min<int>(size, sizeof(text) - 1));
+    text_.append(text, std::min<int>(size, sizeof(text) - 1));
   }
-  void text(const std::string& text) { stream_ << text; }
-  void commit() {
-    stream_.close();
-    if (!stream_) whole_.fail("check that its folder exists and has room");
-    whole_.commit();
-  }
+  void text(const std::string& text) { text_ += text; }
+  void commit() const { write_text(file_, text_); }
 
  private:
-  WholeFile whole_;
-  std::ofstream stream_;
+  fs::path file_;
+  std::string text_;
 };
 
 void print_points(TextFile& out, const Positions& positions) {

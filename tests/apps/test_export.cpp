@@ -163,20 +163,24 @@ void check_gltf(const tinygltf::Model& model, const SessionRecord& session) {
 
 TEST_F(Export, AFileThatCannotBeWrittenWholeIsAnError) {
   // A limit on the size of files fails as a full disk does.
-  for (const char* name : {"full.glb", "full.gltf", "full.csv", "full.usda", "full.webp"}) {
-    const std::string to = std::string(name).ends_with("csv")    ? "csv"
-                           : std::string(name).ends_with("usda") ? "usd"
-                           : std::string(name).ends_with("webp") ? "webp --size 480x300 --every 24"
-                                                                 : "gltf";
+  const std::pair<const char*, const char*> outputs[] = {{"full.glb", "--to gltf"},
+                                                         {"full.gltf", "--to gltf"},
+                                                         {"full.csv", "--to csv"},
+                                                         {"full.usda", "--to usd"},
+                                                         {"full.html", "--to html"},
+                                                         {"full.png", "--png last --size 800x600"},
+                                                         {"full.webp", "--to webp --size 480x300 --every 24"}};
+  for (const auto& [name, to] : outputs) {
     const Outcome limited =
         test::run_shell("unset WEFT_PLUGIN_PATH; ulimit -f 8; '" WEFT_PROGRAM "' export '" + run_folder().string() +
-                        "' --to " + to + " --quiet --out '" + (*folder_ / name).string() + "'");
+                        "' " + to + " --quiet --out '" + (*folder_ / name).string() + "'");
     EXPECT_EQ(limited.code, 1) << name << limited.output;
-    EXPECT_THAT(limited.output, HasSubstr(name));
+    EXPECT_THAT(limited.output, testing::AllOf(HasSubstr(name), HasSubstr("cannot be written: File too large")))
+        << name;
     EXPECT_FALSE(fs::is_regular_file(*folder_ / name)) << name;
+    for (const auto& entry : fs::recursive_directory_iterator(folder_->path()))
+      EXPECT_EQ(entry.path().filename().string().find(".tmp"), std::string::npos) << entry.path();
   }
-  for (const auto& entry : fs::directory_iterator(*folder_ / "."))
-    EXPECT_THAT(entry.path().string(), Not(HasSubstr(".tmp")));
 }
 
 TEST_F(Export, GltfHoldsEveryExportedFrame) {
