@@ -6,7 +6,6 @@
 #include <cstdlib>
 #include <fstream>
 #include <iostream>
-#include <iterator>
 #include <set>
 #include <thread>
 
@@ -194,10 +193,10 @@ void write_planned_identity(const fs::path& results, const std::string& label, c
 }
 
 Identity planned_identity(const fs::path& results, const std::string& label) {
-  std::ifstream stream(plan_file(results, label), std::ios::binary);
-  if (!stream) return {};
+  const auto text = whole_text_if_there(plan_file(results, label));
+  if (!text) return {};
   try {
-    return Identity::from_json({std::istreambuf_iterator<char>(stream), {}});
+    return Identity::from_json(*text);
   } catch (const Error& error) {
     throw ConfigError(plan_file(results, label).string() + ": " + error.what());
   }

@@ -1,7 +1,6 @@
 #include <unistd.h>
 
 #include <cstdio>
-#include <fstream>
 #include <iostream>
 #include <nlohmann/json.hpp>
 
@@ -12,6 +11,7 @@
 #include "learning_steps.hpp"
 #include "output.hpp"
 #include "prepared.hpp"
+#include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
 #include "weft/config.hpp"
 #include "weft/trainable.hpp"
@@ -37,8 +37,7 @@ void require_place(const fs::path& file, const std::vector<fs::path>& originals)
 
 /// The identity in a MODEL.calibration.json; unknown without one.
 Identity calibration_identity(const fs::path& record) {
-  std::ifstream stream(record, std::ios::binary);
-  const auto json = parse_json_if_valid(std::string{std::istreambuf_iterator<char>(stream), {}});
+  const auto json = parse_json_if_valid(whole_text_if_there(record).value_or(""));
   return json.is_object() && json.contains("provenance") ? identity_in(json["provenance"].dump(), record.string())
                                                          : Identity();
 }

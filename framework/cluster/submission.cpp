@@ -6,8 +6,6 @@
 #include <cctype>
 #include <chrono>
 #include <cstdlib>
-#include <fstream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 #include <thread>
 
@@ -210,10 +208,10 @@ void Submission::save() const { write_text(scripts.folder / kRecord, to_json(*th
 
 std::optional<Submission> read_submission(const fs::path& folder) {
   const fs::path file = folder / kRecord;
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) return std::nullopt;
+  const auto text = whole_text_if_there(file);
+  if (!text) return std::nullopt;
   try {
-    return from_json(parse_json(std::string{std::istreambuf_iterator<char>(stream), {}}), folder);
+    return from_json(parse_json(*text), folder);
   } catch (const ordered_json::exception& error) {
     throw ConfigError(file.string() + ": is damaged: " + error.what());
   } catch (const Error& error) {

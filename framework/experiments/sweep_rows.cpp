@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cstdio>
-#include <fstream>
-#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -48,10 +46,7 @@ fs::path identity_file(const fs::path& folder, const std::string& hash) {
   return folder / "identities" / (hash + ".json");
 }
 
-ordered_json read_json(const fs::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  return parse_json(std::string{std::istreambuf_iterator<char>(stream), {}});
-}
+ordered_json read_json(const fs::path& file) { return parse_json(whole_text(file)); }
 
 SweepRow read_row(const fs::path& file, const SweepPlan& plan, std::size_t arm, std::uint64_t seed) {
   SweepRow row{arm, seed, "", {}, file};
@@ -92,9 +87,9 @@ class Identities {
     const auto [place, is_new] = read_.try_emplace(hash);
     const fs::path file = identity_file(folder_, hash);
     if (is_new && !hash.empty() && fs::exists(file)) {
-      std::ifstream stream(file, std::ios::binary);
+      const std::string text = whole_text(file);
       try {
-        place->second = Identity::from_json({std::istreambuf_iterator<char>(stream), {}});
+        place->second = Identity::from_json(text);
       } catch (const ConfigError& error) {
         throw ConfigError(file.string() + ": " + error.what());
       }

@@ -1,12 +1,11 @@
 #include "identity/identity.hpp"
 
 #include <algorithm>
-#include <fstream>
-#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 
 #include "identity/sha256.hpp"
+#include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
 
 namespace weft {
@@ -350,9 +349,8 @@ Identity identity_in(const std::string& provenance, const std::string& where) {
 }
 
 Identity read_identity(const fs::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) return {};
-  return identity_in(std::string{std::istreambuf_iterator<char>(stream), {}}, file.string());
+  const auto text = whole_text_if_there(file);
+  return text ? identity_in(*text, file.string()) : Identity();
 }
 
 std::string changed_message(const std::string& holder, const std::vector<std::string>& changes) {

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 
 #include "report/page_data.hpp"
@@ -39,13 +37,6 @@ ordered_json parse_named_json(const std::string& text, const std::string& name) 
   } catch (const ordered_json::exception& error) {
     throw ConfigError(name + ": is not JSON: " + error.what());
   }
-}
-
-std::string read_text(const fs::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  std::string text{std::istreambuf_iterator<char>(stream), {}};
-  if (!stream) throw ConfigError(file.string() + ": cannot be read");
-  return text;
 }
 
 /// Compares the prediction of round r with the executed segments: mean vertex distance, mean predicted distance (root
@@ -140,7 +131,7 @@ void add_cases(PageData& page, const fs::path& path) {
 
 ReportTemplate find_report_template() {
   if (const char* given = std::getenv("WEFT_REPORT_TEMPLATE")) {
-    if (fs::is_regular_file(given)) return {read_text(given), ""};
+    if (fs::is_regular_file(given)) return {whole_text(given), ""};
     return {"", std::string("WEFT_REPORT_TEMPLATE names ") + given + ", which is not a file"};
   }
   // <prefix>/share/weft/report, seen from <prefix>/lib or <prefix>/lib/<multiarch>.
@@ -148,9 +139,9 @@ ReportTemplate find_report_template() {
   for (int level = 0; level < 3 && folder.has_relative_path(); ++level) {
     folder = folder.parent_path();
     const fs::path share = folder / "share" / "weft" / "report";
-    if (fs::is_regular_file(share / "report.html")) return {read_text(share / "report.html"), ""};
+    if (fs::is_regular_file(share / "report.html")) return {whole_text(share / "report.html"), ""};
     if (fs::is_regular_file(share / "why-not.txt")) {
-      std::string reason = read_text(share / "why-not.txt");
+      std::string reason = whole_text(share / "why-not.txt");
       reason.resize(reason.find_last_not_of(" \n") + 1);
       return {"", reason};
     }
@@ -214,14 +205,14 @@ std::string experiment_page(const std::string& page_template, const fs::path& fo
   json["kind"] = fs::exists(folder / "ablation.json") ? "ablation" : "evaluation";
   json["properties"] = kPropertyNames;
   if (fs::exists(folder / "provenance.json")) {
-    json["provenance"] = parse_named_json(with_machine_of(read_text(folder / "provenance.json"), folder),
+    json["provenance"] = parse_named_json(with_machine_of(whole_text(folder / "provenance.json"), folder),
                                           (folder / "provenance.json").string());
   }
-  if (fs::exists(folder / "config.yaml")) json["config"] = read_text(folder / "config.yaml");
+  if (fs::exists(folder / "config.yaml")) json["config"] = whole_text(folder / "config.yaml");
   for (const std::string name : kExperiments) {
     const fs::path file = folder / (name + ".json");
     if (!fs::exists(file)) continue;
-    json[name] = parse_named_json(read_text(file), file.string());
+    json[name] = parse_named_json(whole_text(file), file.string());
     json[name] = parse_named_json(with_times_of(json[name].dump(), folder, name + ".json"), file.string());
   }
   if (fs::exists(folder / "cases.h5")) add_cases(page, folder / "cases.h5");

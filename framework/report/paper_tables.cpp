@@ -5,10 +5,9 @@
 #include <cctype>
 #include <cmath>
 #include <cstdio>
-#include <fstream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 
+#include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
 #include "sdk/quantile.hpp"
 #include "weft/error.hpp"
@@ -349,13 +348,6 @@ std::string latex_number(const std::string& text) {
   std::string number;
   for (const char c : text) number += c == '-' ? std::string("$-$") : latex_text(std::string(1, c));
   return number;
-}
-
-std::string whole_text(const fs::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  std::string text{std::istreambuf_iterator<char>(stream), {}};
-  if (!stream) throw ConfigError(file.string() + ": cannot be read");
-  return text;
 }
 
 /// One line of cells with what stands between and around them.

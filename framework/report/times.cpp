@@ -1,10 +1,9 @@
 #include "report/times.hpp"
 
-#include <fstream>
-#include <iterator>
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
 #include "weft/error.hpp"
 
@@ -33,9 +32,9 @@ std::string saved_text(const ordered_json& json) {
 /// times.json of a folder; null if there is none.
 ordered_json read_times(const std::filesystem::path& folder) {
   const auto file = folder / "times.json";
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) return nullptr;
-  const auto times = parse_json_if_valid(std::string{std::istreambuf_iterator<char>(stream), {}});
+  const auto text = whole_text_if_there(file);
+  if (!text) return nullptr;
+  const auto times = parse_json_if_valid(*text);
   if (!times.is_object())
     throw ConfigError(file.string() + ": is damaged: no JSON object; remove it to go without times");
   return times;

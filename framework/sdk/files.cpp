@@ -11,6 +11,7 @@
 #include <cstdio>
 #include <cstring>
 #include <fstream>
+#include <iterator>
 #include <mutex>
 #include <random>
 #include <set>
@@ -68,7 +69,7 @@ void clear_once(const fs::path& folder) {
   const std::lock_guard lock(mutex);
   if (place.empty() || !cleared.insert(place).second) return;
   for (const auto& entry : fs::directory_iterator(place, ignored))
-    if (is_left_behind(entry.path().filename().string(), getpid())) fs::remove(entry.path(), ignored);
+    if (is_left_behind(entry.path().filename().string(), getpid())) fs::remove_all(entry.path(), ignored);
 }
 
 /// Makes a folder if needed. @return why no file can be written in it, with its name; empty: one can.
@@ -120,6 +121,25 @@ bool is_lfs_pointer_file(const fs::path& file) {
   return is_lfs_pointer(std::string_view(beginning, stream.gcount()));
 }
 
+std::optional<std::string> whole_text_if_there(const fs::path& file) {
+  std::error_code none;
+  if (!fs::exists(file, none)) return std::nullopt;
+  if (fs::is_directory(file, none)) throw ReadError(file.string() + ": is a folder, must be a file");
+  errno = 0;
+  std::ifstream stream(file, std::ios::binary);
+  std::string text{std::istreambuf_iterator<char>(stream), {}};
+  if (!stream)
+    throw ReadError(file.string() + ": cannot be read" + (errno != 0 ? std::string(": ") + std::strerror(errno) : ""));
+  if (is_lfs_pointer(text)) throw ReadError(file.string() + ": " + kLfsPointer);
+  return text;
+}
+
+std::string whole_text(const fs::path& file) {
+  auto text = whole_text_if_there(file);
+  if (!text) throw ConfigError(file.string() + ": no such file");
+  return *std::move(text);
+}
+
 WholeFile::WholeFile(std::filesystem::path file)
     : file_(std::move(file)), temporary_(file_.string() + unique_suffix()) {
   clear_once(file_.parent_path());
@@ -144,6 +164,16 @@ void WholeFile::commit() {
 
 void WholeFile::fail(const std::string& reason) const {
   throw WriteError(file_.string() + ": cannot be written: " + reason);
+}
+
+TemporaryFolder::TemporaryFolder(const fs::path& in) : path_(in / ("folder" + unique_suffix())) {
+  clear_once(in);
+  make_folder_for_results(path_);
+}
+
+TemporaryFolder::~TemporaryFolder() {
+  std::error_code ignored;
+  fs::remove_all(path_, ignored);
 }
 
 std::filesystem::path library_folder() {

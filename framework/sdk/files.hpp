@@ -1,5 +1,6 @@
 #pragma once
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -25,6 +26,12 @@ WEFT_API bool is_lfs_pointer_file(const std::filesystem::path& file);
 inline constexpr const char* kLfsPointer =
     "is a Git LFS pointer, not the file itself; run `git lfs pull` in its repository";
 
+/// The whole of a file that weft or a user wrote, such as JSON. @throws ConfigError if there is none, ReadError if it cannot
+/// be read or is a pointer of Git LFS; with the file's name.
+WEFT_API std::string whole_text(const std::filesystem::path& file);
+/// The same; nothing if there is no such file.
+WEFT_API std::optional<std::string> whole_text_if_there(const std::filesystem::path& file);
+
 /// A file that appears whole or not at all. It is written under a temporary name in the same folder, and commit()
 /// renames it. Without commit() nothing is left. Temporary names are unique: several programs may write one file, and
 /// the last one to commit wins. What a killed process left in a folder is removed when another process of the same
@@ -44,6 +51,21 @@ class WEFT_API WholeFile {
 
  private:
   std::filesystem::path file_, temporary_;
+};
+
+/// A folder for files that are needed for a while. It goes with this object, with all that is in it, or as WholeFile's
+/// temporary names do.
+class WEFT_API TemporaryFolder {
+ public:
+  /// @param in the folder to make it in. @throws WriteError.
+  explicit TemporaryFolder(const std::filesystem::path& in);
+  ~TemporaryFolder();
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  const std::filesystem::path& path() const { return path_; }
+
+ private:
+  std::filesystem::path path_;
 };
 
 /// The folder that libweft.so was loaded from: <prefix>/lib or <prefix>/lib/<multiarch>, in the build tree and after

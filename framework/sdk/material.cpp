@@ -2,12 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
-#include <iterator>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
 #include "weft/config.hpp"
 
@@ -186,11 +185,10 @@ void read_json_table(const nlohmann::json& json, const std::string& where, const
 }
 
 Fabric read_arcsim(const std::filesystem::path& path) {
-  std::ifstream in(path, std::ios::binary);
-  if (!in || !std::filesystem::is_regular_file(path)) throw ConfigError(path.string() + ": no such file");
+  const std::string text = whole_text(path);
   nlohmann::json json;
   try {
-    json = parse_json<nlohmann::json>(std::string{std::istreambuf_iterator<char>(in), {}}, true);
+    json = parse_json<nlohmann::json>(text, true);
   } catch (const nlohmann::json::exception& error) {
     throw ConfigError(path.string() + ": not valid JSON: " + error.what());
   }

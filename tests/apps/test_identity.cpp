@@ -166,6 +166,77 @@ TEST(Identity, EveryCommandRefusesAUsedFolder) {
   EXPECT_THAT(other.output, HasSubstr("they are of the command evaluate estimation, this one is run"));
 }
 
+// Case 5, of every kind of file that weft reads: who has not run `git lfs pull` is told so, and nothing is written.
+TEST(Identity, AGitLfsPointerInThePlaceOfAnyFileIsNamed) {
+  const Files files;
+  const std::string pointer =
+      "version https://git-lfs.github.com/spec/v1\n"
+      "oid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32b1258daaa5e2ca24d17e2393\nsize 12345\n";
+  for (const char* name : {"p.yaml", "p.obj", "p.json", "p.h5", "p.ply", "p.png", "p.pt", "data/shard-00000.h5"})
+    files.folder.write(name, pointer);
+  files.folder.write("mesh.yaml", "mesh: p.obj\nvertices: {left_bottom: 0, left_top: 16}\n");
+  files.folder.write("rest.yaml", "mesh: " WEFT_SOURCE_DIR
+                                  "/configs/garments/towel_coarse.obj\n"
+                                  "vertices: {left_bottom: 0, left_top: 16}\n"
+                                  "rest: {from: file, file: p.obj}\n");
+  files.folder.write("scene.yaml", "garment: " WEFT_SOURCE_DIR
+                                   "/configs/garments/towel_coarse.yaml\n"
+                                   "duration_s: 0.1\nfabric: p.json\n");
+  const auto at = [&](const char* name) { return "'" + (files.folder / name).string() + "'"; };
+  const std::string task = quoted(files.folder / "task.yaml"), out = quoted(files.folder / "out"),
+                    run = "run " + task + " --out " + out + " --set ";
+  const std::pair<std::string, const char*> commands[] = {
+      {"run " + at("p.yaml"), "p.yaml"},
+      {run + "garment=" + at("p.yaml"), "p.yaml"},
+      {run + "garment=" + at("mesh.yaml"), "p.obj"},
+      {run + "garment=" + at("rest.yaml"), "p.obj"},
+      {run + "material=" + at("p.yaml"), "p.yaml"},
+      {run + "start.session=" + at("p.h5"), "p.h5"},
+      {run + "goal.obj=" + at("p.obj"), "p.obj"},
+      {run + "goal.example=" + at("p.h5"), "p.h5"},
+      {run + "goal.mesh=" + at("p.obj") + " --set planning.loss=chamfer", "p.obj"},
+      {run + "goal.points=" + at("p.ply") + " --set planning.loss=chamfer", "p.ply"},
+      {run + "goal.mask.file=" + at("p.png") + " --set planning.loss=silhouette", "p.png"},
+      {run + "predictor='{plugin: emd, params: {model: " + (files.folder / "p.h5").string() + "}}'", "p.h5"},
+      {"simulate " + at("scene.yaml") + " --out " + out, "p.json"},
+      {"garment import " + at("p.obj") + " --out " + out, "p.obj"},
+      {"garment import " + at("p.ply") + " --out " + out, "p.ply"},
+      {"garment show " + at("p.yaml"), "p.yaml"},
+      {"dataset check " + at("data"), "shard-00000.h5"},
+      {"evaluate prediction " + task + " --data " + at("data") + " --out " + out, "shard-00000.h5"},
+      {"generate " + task + " --examples 2 --out " + at("data"), "shard-00000.h5"},
+      {"export " + at("p.h5") + " --to csv --out " + out, "p.h5"},
+  };
+  for (const auto& [command, file] : commands) {
+    const Outcome refused = weft_command(command);
+    EXPECT_TRUE(refused.code == 1 || refused.code == 2) << command << refused.output;
+    EXPECT_THAT(refused.output, AllOf(HasSubstr(file), HasSubstr("is a Git LFS pointer"), HasSubstr("git lfs pull")))
+        << command;
+    EXPECT_FALSE(fs::exists(files.folder / "out")) << command;
+  }
+  // What weft itself wrote into a folder.
+  ASSERT_EQ(weft_command(files.ablate("--quiet")).code, 0);
+  ASSERT_LE(weft_command("run " + task + " --quiet --out " + out).code, 1);
+  std::vector<std::pair<fs::path, std::string>> own{
+      {files.folder / "out/provenance.json", "run " + task + " --out " + out},
+      {files.folder / "out/session.h5", "export " + out + " --to csv"}};
+  for (const auto& folder : {"o/cells", "o/identities"})
+    for (const auto& entry : fs::directory_iterator(files.folder / folder))
+      own.emplace_back(entry.path(), files.ablate());
+  EXPECT_GE(own.size(), 4u);
+  for (const auto& [file, command] : own) {
+    const std::string relative = fs::relative(file, files.folder.path()).string(),
+                      before = tree_of(files.folder.path())[relative];
+    files.folder.write(relative, pointer);
+    const Outcome refused = weft_command(command);
+    EXPECT_TRUE(refused.code == 1 || refused.code == 2) << command << refused.output;
+    EXPECT_THAT(refused.output, AllOf(HasSubstr(file.filename().string()), HasSubstr("is a Git LFS pointer")))
+        << command;
+    EXPECT_EQ(tree_of(files.folder.path())[relative], pointer) << command << " wrote over " << relative;
+    files.folder.write(relative, before);
+  }
+}
+
 // Case 10: session.h5 of two equal runs differed in bytes.
 TEST(Identity, EqualRunsWriteEqualFiles) {
   const Files files;

@@ -127,6 +127,28 @@ TEST(MakeWritableFolder, MakesItOrSaysWhyNot) {
             file.string() + ": the folder cannot be made: Not a directory");
 }
 
+TEST(TemporaryFolder, GoesWithAllThatIsInIt) {
+  const test::Folder folder;
+  {
+    const TemporaryFolder place(folder.path());
+    write_text(place.path() / "a.yaml", "a: 1");
+    EXPECT_EQ(place.path().parent_path(), folder.path());
+  }
+  EXPECT_EQ(entries(folder.path()), 0u);
+}
+
+TEST(WholeText, IsTheFileOrTheReason) {
+  const test::Folder folder;
+  EXPECT_EQ(whole_text(folder.write("a.json", "{\n}")), "{\n}");
+  EXPECT_EQ(whole_text_if_there(folder / "none.json"), std::nullopt);
+  EXPECT_EQ(test::message_of<ConfigError>([&] { whole_text(folder / "none.json"); }),
+            (folder / "none.json").string() + ": no such file");
+  EXPECT_THAT(test::message_of<ReadError>([&] { whole_text(folder.path()); }),
+              HasSubstr(": is a folder, must be a file"));
+  const auto pointer = folder.write("p.json", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n");
+  EXPECT_THAT(test::message_of<ReadError>([&] { whole_text(pointer); }), HasSubstr("p.json: is a Git LFS pointer"));
+}
+
 TEST(LfsPointer, IsToldByItsFirstLine) {
   EXPECT_TRUE(is_lfs_pointer("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"));
   EXPECT_FALSE(is_lfs_pointer("version: 1\n"));
