@@ -1,8 +1,12 @@
 #include "loader/plugin_info.hpp"
 
 #include <algorithm>
+#include <cstddef>
 #include <cstring>
+#include <fstream>
+#include <iterator>
 #include <optional>
+#include <string_view>
 
 #include "weft/error.hpp"
 #include "weft/optimiser.hpp"
@@ -49,6 +53,13 @@ std::string printable(std::string text) {
   return text;
 }
 
+/// Why a library with this tag is refused. @param abi bytes that may be anything.
+std::string other_abi(const std::string& abi) {
+  return "built as '" + printable(abi) +
+         "', this weft is '" WEFT_ABI_TAG
+         "'; build it with weft_add_plugin() and the same compiler, Eigen and alignment";
+}
+
 }  // namespace
 
 const std::vector<std::string>& plugin_kinds() {
@@ -66,17 +77,24 @@ std::pair<std::string, std::string> named_by(const std::filesystem::path& file) 
   return {};
 }
 
+std::string other_abi_in(const std::filesystem::path& file) {
+  std::ifstream stream(file, std::ios::binary);
+  const std::string bytes{std::istreambuf_iterator<char>(stream), {}};
+  constexpr std::string_view kBegin("weftplu\0weft", 12);  // the magic, and how each tag begins
+  const auto place = bytes.find(kBegin);
+  if (place == std::string::npos || bytes.size() - place < sizeof(WeftPluginInfo)) return "";
+  const std::string abi =
+      text_of(bytes.data() + place + offsetof(WeftPluginInfo, abi_tag), sizeof(WeftPluginInfo::abi_tag));
+  return abi == WEFT_ABI_TAG ? "" : other_abi(abi);
+}
+
 PluginEntry checked_plugin_info(const WeftPluginInfo& info, const std::filesystem::path& file) {
   const auto refuse = [&](const std::string& reason) { throw PluginError(file.string() + ": refused: " + reason); };
   if (text_of(info.magic, sizeof(info.magic)) != "weftplu") {
     refuse("weft_plugin_info does not start with 'weftplu'; rebuild it with this weft's headers");
   }
   const std::string abi = text_of(info.abi_tag, sizeof(info.abi_tag));
-  if (abi != WEFT_ABI_TAG) {
-    refuse("built as '" + printable(abi) +
-           "', this weft is '" WEFT_ABI_TAG
-           "'; build it with weft_add_plugin() and the same compiler, Eigen and alignment");
-  }
+  if (abi != WEFT_ABI_TAG) refuse(other_abi(abi));
   PluginEntry entry;
   entry.file = file;
   entry.kind = text_of(info.kind, sizeof(info.kind));

@@ -85,7 +85,10 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   }
   // A library linked with -ffast-math, or another that it needs, makes small numbers zero in the thread that loads it.
   std::fesetenv(&numbers);
-  if (!library->handle.is_loaded()) refuse("cannot be loaded as a shared library: " + detail);
+  if (!library->handle.is_loaded()) {
+    if (const std::string why = other_abi_in(file); !why.empty()) refuse(why);
+    refuse("cannot be loaded as a shared library: " + detail);
+  }
   for (const char* symbol :
        {"weft_plugin_info", "weft_plugin_create", "weft_plugin_destroy", "weft_plugin_visit_params"}) {
     if (!library->handle.has(symbol)) {

@@ -30,6 +30,8 @@ const std::map<std::string, std::string>& refusals() {
                                       std::to_string(Trajectory::kVersion) + "; rebuild it with this weft's headers"},
       {"wrong_abi", "built as 'weft1 gxxabi1002 cxx11abi0 eigen3.3.9 align16', this weft is '" WEFT_ABI_TAG
                     "'; build it with weft_add_plugin()"},
+      {"glibcxx_debug", " glibcxx_debug', this weft is '" WEFT_ABI_TAG "'"},
+      {"index_int", " index int', this weft is '" WEFT_ABI_TAG "'"},
       {"no_mark", "weft_plugin_info does not start with 'weftplu'"},
       {"wrong_size", "weft_plugin_info has 32 bytes, this weft's has " + std::to_string(sizeof(WeftPluginInfo))},
       {"no_name", "has no name"},
