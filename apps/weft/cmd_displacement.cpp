@@ -14,7 +14,8 @@ int tune(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
   check_simulator(given.task.simulator, given.task, *given.host);
   const auto simulator = given.host->create<Simulator>(given.task.simulator);
-  const auto result = tune_displacement(given.task, *simulator, MaterialProperties::Constant(0.5));
+  const auto result = tune_displacement(given.task, *simulator, MaterialProperties::Constant(0.5),
+                                        [&] { return given.host->cancelled(); });
   if (context.json) {
     context.output() << nlohmann::ordered_json{{"displacement_m", {result.displacement.x(), result.displacement.y()}},
                                                {"misfit_mm", result.misfit_mm},

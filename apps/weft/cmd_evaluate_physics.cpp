@@ -14,6 +14,7 @@
 #include "report/times.hpp"
 #include "sdk/json_text.hpp"
 #include "session/session.hpp"
+#include "simulation/fold.hpp"
 #include "simulation/task_config.hpp"
 #include "work_options.hpp"
 
@@ -83,6 +84,7 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   if (work.cluster.is_given())
     return run_on_cluster(context, work.cluster, on_cluster,
                           [&] { write_planned_identity(out, on_cluster.label, identity); });
+  PhysicsCheckpoint checkpoint(out, identity, cases, context.accept_changed);
   const PlacedFolder placed(out);
   const auto finish = [&](std::size_t comparisons, std::size_t failed) {
     context.say(std::to_string(comparisons) + " comparisons, " + std::to_string(failed) + " outside their bound");
@@ -108,16 +110,23 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
     std::mutex printing;
     given.host->parallel_for(static_cast<std::int64_t>(cases.size()), [&](std::int64_t i) {
       if (given.host->cancelled()) return;
-      results[i] = run_physics_case_of(given.params, cases[i], *task, *given.host);
+      if (const auto* earlier = checkpoint.rows(i)) {
+        results[i] = *earlier;
+        return;
+      }
+      auto made = run_physics_case_of(given.params, cases[i], *task, *given.host);
+      if (given.host->cancelled()) return;  // it may have been cut short
+      results[i] = std::move(made);
+      checkpoint.add(i, results[i]);
       const std::lock_guard lock(printing);
       say(results[i]);
     });
     for (auto& some : results) std::move(some.begin(), some.end(), std::back_inserter(rows));
   } else {
     const EvaluationWorkers workers{work.worker(), work.cell_limit_s, [&] { return given.host->cancelled(); }};
-    rows = run_physics_cases(workers, given.config, cases, *given.registry, *given.host, say);
+    rows = run_physics_cases(workers, given.config, cases, *given.registry, *given.host, checkpoint, say);
   }
-  if (given.host->cancelled()) throw Error("interrupted");
+  if (given.host->cancelled()) throw Interrupted("interrupted; run the same command again to finish it");
 
   std::error_code ignored;
   std::filesystem::remove(out / "physics.json",
@@ -128,6 +137,7 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   write_text(out / "times.json", times_json(given.host->threads(), {}));
   write_text(out / "physics.json", to_json(rows));
   write_text(out / "physics.csv", to_csv(rows));
+  checkpoint.remove();
   if (context.json) context.output() << to_json(rows);
   const auto failed = std::count_if(rows.begin(), rows.end(), [](const PhysicsRow& r) { return !r.passed; });
   return finish(rows.size(), static_cast<std::size_t>(failed));

@@ -9,6 +9,7 @@
 #include "output.hpp"
 #include "prepared.hpp"
 #include "report/times.hpp"
+#include "simulation/fold.hpp"
 #include "weft/config.hpp"
 #include "work_options.hpp"
 
@@ -114,7 +115,7 @@ int evaluate_predictor(Context& context, const PredictionCall& call, PredictionE
     predict = predict_in_child(workers, given.config, dataset, folders, *given.registry, *given.host);
   const PredictionEvaluation result =
       evaluate_prediction(*predictor, given.task, dataset, given.params.evaluation, given.seed, *given.host, predict);
-  if (given.host->cancelled()) throw Error("interrupted");
+  if (given.host->cancelled()) throw Interrupted("interrupted; run the same command again");
   const std::string json = prediction_evaluation_json(result), times = prediction_times_json(result);
   write_garment(given.task, out);
   write_text(out / "config.yaml", given.saved_config().to_yaml());

@@ -100,10 +100,10 @@ void export_film(const Context& context, const fs::path& file, const StillPainte
 int run_export(Context& context, ExportOptions options) {
   const fs::path file = session_file(options.session);
   settle_options(options);
+  Context::catch_signals();  // no file is left half written
   const SessionRecord session = read_session(file);
   const auto stills = still_frames(session, options);
   const bool pictures = !stills.empty() || options.wants("webp");
-  if (pictures) Context::catch_signals();
   // One output may be named; several go into a folder.
   const bool one = options.formats.size() + stills.size() == 1;
   const fs::path folder = !context.out.empty() && !one ? fs::path(context.out) : file.parent_path();

@@ -7,6 +7,7 @@
 #include "options.hpp"
 #include "prepared.hpp"
 #include "simulation/fold.hpp"
+#include "simulation/hand_limits.hpp"
 
 namespace weft::app {
 namespace {
@@ -16,9 +17,13 @@ int fold_once(Context& context, const std::string& file, const std::string& mesh
   const Prepared<SessionParams> given(context, file);
   check_simulator(given.task.simulator, given.task, *given.host);
   const auto simulator = given.host->create<Simulator>(given.task.simulator);
-  const Controls controls = given.task.trajectory->default_controls(60);
+  const Trajectory& trajectory = *given.task.trajectory;
+  const Controls controls =
+      within_limits(given.task, trajectory.initial_state(given.task.manipulation), {}, trajectory.default_controls(60))
+          .controls;
   const Garment& garment = *given.task.garment;
-  const FoldResult fold = simulate_fold(*simulator, given.task, MaterialProperties::Constant(0.5), controls);
+  const FoldResult fold = simulate_fold(*simulator, given.task, MaterialProperties::Constant(0.5), controls,
+                                        [&] { return given.host->cancelled(); });
   Index crossings = 0;
   for (const Positions& shape : fold.shapes) crossings = std::max(crossings, count_intersections(shape, garment.faces));
   const Positions& end = fold.shapes.back();

@@ -5,6 +5,7 @@
 #include "garment_options.hpp"
 #include "meshes/import/garment_files.hpp"
 #include "options.hpp"
+#include "output.hpp"
 #include "prepared.hpp"
 #include "report/garment_page.hpp"
 #include "sdk/files.hpp"
@@ -86,40 +87,58 @@ void read_options(ImportRequest& request) {
   }
 }
 
-/// Writes task and experiment, and tunes the displacement with the task as it was written.
-/// @return the task's displacement_m, and misfit_mm if it was tuned.
-ordered_json write_task(Context& context, const ImportRequest& request, const ImportedGarment& garment,
-                        const fs::path& folder, const std::string& name, Findings& findings) {
-  const fs::path task_file = folder / (name + "_fold.yaml");
-  write_text(folder / "fabric.yaml", fabric_text(request.fabric));
-  write_text(folder / (name + "_experiment.yaml"), experiment_text(name));
+/// The displacement of the task, and how it was found.
+struct TaskDisplacement {
+  Vec2 displacement;
+  std::string note;  ///< for the task file
+  ordered_json json;
+};
+
+/// Tunes the displacement with the task that will be written, in a folder that goes again: nothing is written yet if the
+/// user stops it, or if the fabric is refused. @throws Interrupted.
+TaskDisplacement tuned_displacement(Context& context, const ImportRequest& request, const ImportedGarment& garment,
+                                    const fs::path& folder, const std::string& name, Findings& findings) {
   const auto hand = [&](std::size_t i) { return garment.vertices.at(garment.grasp[i]); };
   const bool left_side =
       request.grasp.empty() && garment.mesh.positions(hand(0), 0) < garment.mesh.positions.col(0).mean();
-  Vec2 displacement = fold_in_two(garment.mesh, hand(0), hand(1), left_side);
-  write_text(task_file, task_text(name, garment.grasp, displacement, "from the garment's size, not tuned"));
-  ordered_json result;
+  TaskDisplacement result{
+      fold_in_two(garment.mesh, hand(0), hand(1), left_side), "from the garment's size, not tuned", {}};
   if (!request.no_tuning) {
     context.say("tuning the displacement with simulated folds");
+    const TemporaryFolder place(folder);
+    write_garment_files(place.path(), name, garment, request.command_line);
+    write_text(place.path() / "fabric.yaml", fabric_text(request.fabric));
+    const fs::path task_file = place.path() / (name + "_fold.yaml");
+    write_text(task_file, task_text(name, garment.grasp, result.displacement, result.note));
     const Prepared<SessionParams> given(context, task_file.string());
     const auto simulator = given.host->create<Simulator>(given.task.simulator);
     try {
-      const auto tuned = tune_displacement(given.task, *simulator, MaterialProperties::Constant(0.5));
-      displacement = tuned.displacement;
+      const auto tuned = tune_displacement(given.task, *simulator, MaterialProperties::Constant(0.5),
+                                           [&] { return given.host->cancelled(); });
+      result.displacement = tuned.displacement;
       char note[120];
       std::snprintf(note, sizeof note, "tuned: the folded half lies %.1f mm from its mirror image in the mean",
                     tuned.misfit_mm);
-      write_text(task_file, task_text(name, garment.grasp, displacement, note));
+      result.note = note;
       findings.push_back({"displacement", FindingKind::fact, tuned.evaluations,
-                          std::string(note) + " (" + std::to_string(tuned.evaluations) + " folds simulated)"});
-      result["misfit_mm"] = tuned.misfit_mm;
+                          result.note + " (" + std::to_string(tuned.evaluations) + " folds simulated)"});
+      result.json["misfit_mm"] = tuned.misfit_mm;
     } catch (const Diverged& error) {
       findings.push_back({"displacement", FindingKind::warning, 1,
                           "not tuned, it comes from the garment's size: a fold failed: " + std::string(error.what())});
     }
   }
-  result["displacement_m"] = {displacement.x(), displacement.y()};
+  result.json["displacement_m"] = {result.displacement.x(), result.displacement.y()};
   return result;
+}
+
+/// Writes fabric, task and experiment.
+void write_task(const ImportRequest& request, const ImportedGarment& garment, const fs::path& folder,
+                const std::string& name, const TaskDisplacement& displacement) {
+  write_text(folder / "fabric.yaml", fabric_text(request.fabric));
+  write_text(folder / (name + "_experiment.yaml"), experiment_text(name));
+  write_text(folder / (name + "_fold.yaml"),
+             task_text(name, garment.grasp, displacement.displacement, displacement.note));
 }
 
 GarmentPage page_of(const ImportedGarment& garment, const std::string& name, const Findings& findings) {
@@ -170,6 +189,7 @@ std::string lay(Context& context, const ImportRequest& request, ImportedGarment&
 
 int run_import(Context& context, ImportRequest request) {
   read_options(request);
+  if (!request.fabric.empty()) read_material_space(ConfigNode::quoted(request.fabric));
   const fs::path file = request.file;
   const std::string name = request.name.empty() ? plain_name(file.stem().string()) : request.name;
   if (name != plain_name(name)) throw ConfigError("--garment-name = " + name + ", must be letters, digits, _ and -");
@@ -182,13 +202,16 @@ int run_import(Context& context, ImportRequest request) {
     if (is_mesh || fs::equivalent(target, file, ignored))
       throw ConfigError(target.string() + " would replace the file that is imported; name another folder with --out");
   }
-  make_writable_folder(folder);
+  Context::catch_signals();
+  const PlacedFolder placed(folder);
 
   say_findings(context, garment.findings);
   const std::size_t said = garment.findings.size();
   std::string crossing;
   if (!garment.is_flat() && !request.no_lay) crossing = lay(context, request, garment, name);
   const bool foldable = garment.is_flat() && crossing.empty();
+  TaskDisplacement displacement;
+  if (foldable) displacement = tuned_displacement(context, request, garment, folder, name, garment.findings);
   write_garment_files(folder, name, garment, request.command_line);
   std::vector<std::string> files{name + ".obj", name + ".yaml"};
   ordered_json json{{"source", request.file},
@@ -200,7 +223,8 @@ int run_import(Context& context, ImportRequest request) {
   if (garment.kept && garment.kept->has_frames()) files.push_back(name + "_rest.obj");
   if (foldable) {
     json["grasp"] = garment.grasp;
-    json.update(write_task(context, request, garment, folder, name, garment.findings));
+    json.update(displacement.json);
+    write_task(request, garment, folder, name, displacement);
     for (const char* ending : {"_fold.yaml", "_experiment.yaml"}) files.push_back(name + ending);
     files.emplace_back("fabric.yaml");
   }

@@ -51,7 +51,8 @@ int run_lay(Context& context, const LayRequest& request) {
 LaidGarment lay_with(Context& context, const Garment& garment, const std::string& simulator, const LayParams& params) {
   const auto registry = context.registry();
   const auto host = context.host(registry, 0);
-  return lay_garment(garment, *host->create<Simulator>(ConfigNode::quoted(simulator)), params);
+  return lay_garment(garment, *host->create<Simulator>(ConfigNode::quoted(simulator)), params,
+                     [&host] { return host->cancelled(); });
 }
 
 Garment laid_garment(const Garment& garment, const LaidGarment& laid) {

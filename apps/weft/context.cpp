@@ -15,6 +15,7 @@
 
 #include "loader/program_host.hpp"
 #include "options.hpp"
+#include "processes/crash_report.hpp"
 
 namespace weft::app {
 namespace {
@@ -38,7 +39,8 @@ void stop(int signal) {
     return;
   }
   [[maybe_unused]] const auto written = write(STDERR_FILENO, kAnswer, sizeof(kAnswer) - 1);
-  for (const int one : kStopSignals) std::signal(one, SIG_DFL);
+  // The next one ends weft, and says in which plugin: that is why it has not ended yet.
+  for (const int one : kStopSignals) report_before_end(one);
 }
 
 }  // namespace

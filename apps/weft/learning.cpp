@@ -133,7 +133,7 @@ bool Learning::read_record() {
   const fs::path file = out_ / "learn.json";
   if (!fs::exists(file)) return false;
   const std::string damaged = file.string() + ": is damaged; remove it, and the steps that it lists are done again";
-  record_ = parse_json_if_valid(text_of_file(file));
+  record_ = parse_json_if_valid(whole_text(file));
   if (!record_.is_object() || record_.value("schema", "") != kLearnSchema) throw ConfigError(damaged);
   try {
     const ordered_json& numbers = record_.at("numbers");
@@ -255,8 +255,8 @@ ordered_json Learning::tune(ConfigNode& saved) {
   if (!call_.tune_displacement) return nullptr;
   show("displacement", "tuning it with simulated folds");
   const auto simulator = given_->host->create<Simulator>(given_->task.simulator);
-  const auto tuned = tune_displacement(given_->task, *simulator, MaterialProperties::Constant(0.5));
-  require_not_stopped();
+  const auto tuned = tune_displacement(given_->task, *simulator, MaterialProperties::Constant(0.5),
+                                       [this] { return given_->host->cancelled(); });
   const auto rounded = [](double length) { return std::round(length * 1e4) / 1e4; };
   const double x = rounded(tuned.displacement.x()), y = rounded(tuned.displacement.y());
   saved =
@@ -344,9 +344,9 @@ int Learning::run() {
     step("calibration", &Learning::calibrate);
     step("evaluation", &Learning::evaluate);
     write_task();
-  } catch (const Interrupted& stopped) {
+  } catch (const Interrupted&) {
     line_.end();
-    context_.say(stopped.what());
+    context_.say("stopped; run the same command again to go on");
     return 1;
   }
   say_end();

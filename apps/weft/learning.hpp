@@ -25,12 +25,6 @@ struct LearnCall {
   WorkOptions work;
 };
 
-/// The user asked to stop.
-class Interrupted : public Error {
- public:
-  Interrupted() : Error("stopped; run the same command again to go on") {}
-};
-
 /// `weft learn`: from a task to a model that can ship.
 ///
 /// 1. The task becomes one self-contained experiment, OUT/config.yaml. A short trial finds the rates of this machine, and

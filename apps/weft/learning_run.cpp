@@ -10,6 +10,7 @@
 #include "sdk/files.hpp"
 #include "sdk/formatted.hpp"
 #include "sdk/json_text.hpp"
+#include "simulation/fold.hpp"
 
 namespace weft::app {
 namespace {
@@ -36,7 +37,7 @@ std::string Learning::set_model(const char* file) const {
 }
 
 void Learning::require_not_stopped() const {
-  if (*context_.cancel_flag()) throw Interrupted();
+  if (*context_.cancel_flag()) throw Interrupted("stopped");
 }
 
 void Learning::write_record() const { write_text(out_ / "learn.json", record_.dump(2) + "\n"); }

@@ -161,7 +161,8 @@ ordered_json estimation_times(const EvaluationColumn& column, std::size_t arm) {
 /// The manipulation of an example, executed again in the world.
 Example executed_in(const Task& world, const Example& example, Host& host) {
   Example made = example;
-  const FoldResult fold = simulate_fold(*host.create<Simulator>(world.simulator), world, example.q, example.controls);
+  const FoldResult fold = simulate_fold(*host.create<Simulator>(world.simulator), world, example.q, example.controls,
+                                        [&host] { return host.cancelled(); });
   made.shapes.clear();
   for (const auto& shape : fold.shapes) {
     const auto frame = to_frame(shape);

@@ -1,7 +1,6 @@
 #include "experiments/evaluation_work.hpp"
 
 #include <algorithm>
-#include <charconv>
 #include <limits>
 #include <map>
 #include <mutex>
@@ -10,6 +9,7 @@
 
 #include "experiments/cell_work.hpp"
 #include "experiments/experiment_config.hpp"
+#include "experiments/json_numbers.hpp"
 #include "experiments/physics/suite.hpp"
 #include "learning/dataset_files.hpp"
 #include "loader/program_host.hpp"
@@ -26,49 +26,6 @@ constexpr const char* kPrediction = "prediction";
 
 std::string line_of(const ordered_json& json) {
   return json.dump(-1, ' ', true, ordered_json::error_handler_t::replace);
-}
-
-/// A number as it is, also infinity, which JSON has not.
-std::string exact(double value) {
-  char text[32];
-  return {text, std::to_chars(text, text + sizeof(text), value).ptr};
-}
-double exact_of(const ordered_json& json) {
-  const auto& text = json.get_ref<const std::string&>();
-  double value = 0.0;
-  if (std::from_chars(text.data(), text.data() + text.size(), value).ec != std::errc())
-    throw ConfigError("'" + text + "' is not a number");
-  return value;
-}
-
-ordered_json to_json(const PhysicsRow& row) {
-  auto seeds = ordered_json::array();
-  for (const auto& [seed, value] : row.by_seed) seeds.push_back({seed, exact(value)});
-  return {{"test", row.test},
-          {"variant", row.variant},
-          {"name", row.name},
-          {"quantity", row.quantity},
-          {"numbers", {exact(row.reference), exact(row.measured), exact(row.error), exact(row.bound)}},
-          {"passed", row.passed},
-          {"note", row.note},
-          {"by_seed", seeds}};
-}
-PhysicsRow physics_row_of(const ordered_json& json) {
-  PhysicsRow row;
-  row.test = json.at("test").get<std::string>();
-  row.variant = json.at("variant").get<std::string>();
-  row.name = json.at("name").get<std::string>();
-  row.quantity = json.at("quantity").get<std::string>();
-  const auto& numbers = json.at("numbers");
-  row.reference = exact_of(numbers.at(0));
-  row.measured = exact_of(numbers.at(1));
-  row.error = exact_of(numbers.at(2));
-  row.bound = exact_of(numbers.at(3));
-  row.passed = json.at("passed").get<bool>();
-  row.note = json.at("note").get<std::string>();
-  for (const auto& one : json.at("by_seed"))
-    row.by_seed.emplace_back(one.at(0).get<std::uint64_t>(), exact_of(one.at(1)));
-  return row;
 }
 
 ordered_json to_json(const ScoredPrediction& one) {
@@ -137,7 +94,8 @@ std::vector<PhysicsRow> run_physics_case_of(const PhysicsExperimentParams& param
 
 std::vector<PhysicsRow> run_physics_cases(const EvaluationWorkers& workers, const ConfigNode& config,
                                           const std::vector<PhysicsCase>& cases, const PluginRegistry& registry,
-                                          Host& host, const std::function<void(const std::vector<PhysicsRow>&)>& done) {
+                                          Host& host, PhysicsCheckpoint& checkpoint,
+                                          const std::function<void(const std::vector<PhysicsRow>&)>& done) {
   ordered_json request{
       {"kind", kPhysics}, {"config", located_json(config)}, {"plugin_path", searched_folders(registry)}};
   SlowestUnit slowest(workers.limit_s);
@@ -148,15 +106,21 @@ std::vector<PhysicsRow> run_physics_cases(const EvaluationWorkers& workers, cons
     WorkerProcess child(workers.command);
     ordered_json mine = request;
     for (std::size_t i; (i = next++) < cases.size() && !workers.cancelled();) {
+      if (const auto* rows = checkpoint.rows(i)) {
+        results[i] = *rows;
+        continue;
+      }
       mine["case"] = i;
       const WorkEnd end = child.run(
           line_of(mine), [&] { return slowest.limits(); }, workers.cancelled);
       if (end.kind == WorkEnd::Kind::cancelled) return;
       if (end.kind == WorkEnd::Kind::answered) slowest.add(end.cpu_seconds);
       const WorkFailure failure = read_end(end, [&](const ordered_json& rows) {
-        for (const auto& row : rows) results[i].push_back(physics_row_of(row));
+        for (const auto& row : rows) results[i].push_back(exact_physics_row(row));
       });
-      if (failure.status != WorkStatus::done)
+      if (failure.status == WorkStatus::done)
+        checkpoint.add(i, results[i]);
+      else
         results[i] = {physics::row(cases[i].test, {"default", {}}, cases[i].name, to_string(failure.status), 0.0, 0.0,
                                    std::numeric_limits<double>::infinity(), 0.0, failure.message)};
       const std::lock_guard lock(mutex);
@@ -245,7 +209,7 @@ struct EvaluationServer::State {
   ordered_json physics_result(const ordered_json& request) {
     auto rows = ordered_json::array();
     for (const auto& row : run_physics_case_of(physics, cases.at(request.at("case").get<std::size_t>()), *task, *host))
-      rows.push_back(to_json(row));
+      rows.push_back(exact_json(row));
     return rows;
   }
 

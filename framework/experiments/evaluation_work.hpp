@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "experiments/physics/physics.hpp"
+#include "experiments/physics_checkpoint.hpp"
 #include "experiments/prediction_evaluation.hpp"
 #include "loader/registry.hpp"
 #include "processes/worker_process.hpp"
@@ -23,10 +24,12 @@ struct EvaluationWorkers {
 
 /// Runs all cases of a physics experiment, as many at a time as the host has threads.
 /// @param config with the keys of PhysicsExperimentParams. @param cases of it. @param done called after every case, one
-/// call at a time. @return the rows in the order of the cases. A case whose process fails has one row, which failed.
+/// call at a time. @param checkpoint its cases do not run again, and those that run to their end are added.
+/// @return the rows in the order of the cases. A case whose process fails has one row, which failed.
 std::vector<PhysicsRow> run_physics_cases(const EvaluationWorkers& workers, const ConfigNode& config,
                                           const std::vector<PhysicsCase>& cases, const PluginRegistry& registry,
-                                          Host& host, const std::function<void(const std::vector<PhysicsRow>&)>& done);
+                                          Host& host, PhysicsCheckpoint& checkpoint,
+                                          const std::function<void(const std::vector<PhysicsRow>&)>& done);
 /// Runs one case in this process, in the simulators of the experiment.
 std::vector<PhysicsRow> run_physics_case_of(const PhysicsExperimentParams& params, const PhysicsCase& one,
                                             const Task& task, Host& host);

@@ -189,6 +189,7 @@ void write_planning_shapes(const EvaluationColumn& column, const Garment& garmen
       has_goal[goal] = true;
     }
   }
+  if (finals.empty()) return;  // stopped before the first case ended
   auto file = create_cases_file(path, garment);
   write_shapes(file, "/planning/goals", goals);
   write_shapes(file, "/planning/finals", finals);

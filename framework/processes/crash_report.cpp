@@ -248,11 +248,16 @@ void install_crash_report(int file, WhereWriter where) {
   void* frames[4];
   backtrace(frames, 4);  // loads what it needs now, and not in the handler
   static const CrashStack main_thread;
+  for (const int signal : kFatal) report_before_end(signal);
+  on_exit(on_exit_call, nullptr);
+}
+
+void report_before_end(int signal) noexcept {
   struct sigaction action {};
   action.sa_sigaction = on_fatal_signal;
   action.sa_flags = SA_ONSTACK | SA_SIGINFO;
-  for (const int signal : kFatal) sigaction(signal, &action, nullptr);
-  on_exit(on_exit_call, nullptr);
+  for (const int other : {SIGINT, SIGTERM, SIGHUP}) sigaddset(&action.sa_mask, other);  // one report is enough
+  sigaction(signal, &action, nullptr);
 }
 
 CrashStack::CrashStack() : memory_(std::make_unique<char[]>(kBytes)) {

@@ -38,6 +38,10 @@ bool read_crash_report(std::string_view bytes, CrashReport& report);
 /// @param file kCrashReportFile: the report goes there as it is; STDERR_FILENO: as one line "error: ...". @param where may be null.
 void install_crash_report(int file, WhereWriter where);
 
+/// Reports one more signal before it ends the program, such as SIGINT. install_crash_report() comes first. A signal
+/// handler may call it.
+void report_before_end(int signal) noexcept;
+
 /// A stack for the signal handler on this thread, so that an overflow of the thread's own can be reported too. The
 /// thread that calls install_crash_report() has one.
 class CrashStack {

@@ -169,15 +169,18 @@ SessionGoal make_goal(SessionGoal given, const GoalParams& params, const std::st
   const MaterialProperties material = true_material.value_or(fallback);
   const MaterialProperties goal_material = chosen.value_or(material);
   const auto reference = host.create<Simulator>(task.simulator);
+  const auto fold_with = [&](const MaterialProperties& properties, const Controls& controls) {
+    return simulate_fold(*reference, task, properties, controls, [&host] { return host.cancelled(); });
+  };
   const Index horizon = params.horizon;
   const Vector initial = trajectory.initial_state(task.manipulation);
   const Controls default_controls = within_limits(task, initial, {}, trajectory.default_controls(horizon)).controls;
-  goal.default_shape = simulate_fold(*reference, task, material, default_controls).shapes.back();
+  goal.default_shape = fold_with(material, default_controls).shapes.back();
   if (!params.flat.move_m.empty()) {
     goal.shape = flat_goal(task, {params.flat.move_m[0], params.flat.move_m[1]}, params.flat.turn_deg,
                            task.material.at(goal_material).thickness_m);
   } else if (goal.controls.rows() > 0) {
-    goal.shape = simulate_fold(*reference, task, goal_material, goal.controls).shapes.back();
+    goal.shape = fold_with(goal_material, goal.controls).shapes.back();
   } else if (goal.shape.rows() == 0 && !goal.surface) {
     const auto& random_goal = params.random;
     for (std::int64_t attempt = 0; attempt < random_goal.attempts && goal.shape.rows() == 0; ++attempt) {
@@ -187,7 +190,7 @@ SessionGoal make_goal(SessionGoal given, const GoalParams& params, const std::st
               .controls;
       FoldResult fold;
       try {
-        fold = simulate_fold(*reference, task, goal_material, controls);
+        fold = fold_with(goal_material, controls);
       } catch (const Diverged& error) {
         host.log(LogLevel::warning, std::string("a goal candidate was skipped: ") + error.what());
         continue;

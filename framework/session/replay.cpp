@@ -139,7 +139,8 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
                                             task.trajectory->default_controls(params.goal.horizon))
                                   .controls;
     const Task world = world_task(task, params.world, seed);
-    FoldResult fold = simulate_fold(*host.create<Simulator>(world.simulator), world, *result.true_material, controls);
+    FoldResult fold = simulate_fold(*host.create<Simulator>(world.simulator), world, *result.true_material, controls,
+                                    [&host] { return host.cancelled(); });
     replay.state = fold.states.row(0).transpose();
     replay.controls = controls.topRows(fold.segments);
     replay.shapes = std::move(fold.shapes);

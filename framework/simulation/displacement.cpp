@@ -1,12 +1,11 @@
 #include "simulation/displacement.hpp"
-#include "simulation/fold.hpp"
 
 #include <cmath>
 
 namespace weft {
 
 DisplacementResult tune_displacement(const Task& task, Simulator& simulator, const MaterialProperties& material,
-                                     double tolerance_m) {
+                                     const Cancelled& cancelled, double tolerance_m) {
   const Eigen::Vector2d direction = Eigen::Vector2d(task.manipulation.displacement).normalized();
   if (task.start) throw ConfigError("displacement: takes a flat garment; leave start.session out");
   const auto& rest = task.garment->positions;
@@ -22,7 +21,7 @@ DisplacementResult tune_displacement(const Task& task, Simulator& simulator, con
     Task candidate = task;
     candidate.manipulation.displacement = length * direction;
     const Controls controls = 0.5 * task.trajectory->default_controls(60);
-    const auto fold = simulate_fold(simulator, candidate, material, controls);
+    const auto fold = simulate_fold(simulator, candidate, material, controls, cancelled);
     ++result.evaluations;
     double sum = 0.0;
     Index count = 0;

@@ -1,4 +1,5 @@
 #pragma once
+#include "simulation/fold.hpp"
 #include "simulation/task_config.hpp"
 
 namespace weft {
@@ -13,8 +14,9 @@ struct DisplacementResult {
 /// Golden-section search over |d|; the direction of d stays. Every fold uses half the default control (for the arc the
 /// paper's (1, 0, 0, 0, 0)) and the given material. The fold line runs through the middle of the garment's extent along
 /// d. The misfit is the mean distance of the vertices on the grasped side from their mirror images.
-/// @param task its manipulation.displacement gives the direction. @throws Diverged, ConfigError.
+/// @param task its manipulation.displacement gives the direction. @throws Diverged, ConfigError,
+/// Interrupted.
 DisplacementResult tune_displacement(const Task& task, Simulator& simulator, const MaterialProperties& material,
-                                     double tolerance_m = 0.001);
+                                     const Cancelled& cancelled = {}, double tolerance_m = 0.001);
 
 }  // namespace weft

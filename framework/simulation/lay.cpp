@@ -90,7 +90,8 @@ Positions lying_pose(const Garment& garment) {
   return from_centre * turn.transpose();
 }
 
-LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayParams& params) {
+LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayParams& params,
+                        const Cancelled& cancelled) {
   LaidGarment result;
   result.crossings_before = count_intersections(garment.positions, garment.faces);
   Fabric fabric;
@@ -118,6 +119,7 @@ LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayP
     simulator.set_state(x, v, {});
     Index calm = 0;
     for (Index k = 0; k < most && calm < 12; ++k) {
+      require_not_cancelled(cancelled);
       simulator.step(kNoHands);
       ++result.frames;
       calm = until_calm && simulator.velocities().rowwise().norm().maxCoeff() < 0.01 ? calm + 1 : 0;
@@ -132,7 +134,7 @@ LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayP
   simulator.set_state(x, Positions::Zero(x.rows(), 3), {});
   SettleCriterion criterion;
   criterion.max_frames = frames(params.fall_s);
-  const SettleResult rest = simulator.settle(criterion);
+  const SettleResult rest = settle(simulator, criterion, cancelled);
   result.frames += rest.frames;
   result.settled = rest.settled;
   x = simulator.positions();

@@ -1,4 +1,5 @@
 #pragma once
+#include "simulation/fold.hpp"
 #include "weft/params.hpp"
 #include "weft/simulator.hpp"
 
@@ -44,7 +45,8 @@ Positions lying_pose(const Garment& garment);
 
 /// Lays a garment on the table by simulation: it falls in drag, without friction; lies under a press; and comes to rest
 /// under gravity alone.
-/// @param garment with a rest shape; its layers do not matter. @throws Diverged, ConfigError.
-LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayParams& params);
+/// @param garment with a rest shape; its layers do not matter. @throws Diverged, ConfigError, Interrupted.
+LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayParams& params,
+                        const Cancelled& cancelled = {});
 
 }  // namespace weft

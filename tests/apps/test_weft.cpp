@@ -656,6 +656,75 @@ TEST(Program, AJobOfSlurmThatIsAskedTwiceEndsInOrder) {
   EXPECT_EQ(asked_twice("").code, 143);
 }
 
+/// Simulations without a search: they end between two frames, and write nothing.
+TEST(Program, ASimulationThatIsAskedToStopEndsAndLeavesNothing) {
+  const Folder folder;
+  const std::string configs = WEFT_SOURCE_DIR "/configs/", out = "'" + (folder / "out").string() + "'";
+  const std::string commands[] = {
+      "displacement '" + configs + "tasks/tshirt_fold.yaml'",
+      "garment import '" + configs + "garments/tshirt.obj' --units m --up z --out " + out,
+      "garment lay '" + configs + "garments/tshirt.yaml' --out " + out,
+      "garment fold '" + configs + "tasks/tshirt_fold.yaml' --mesh " + out,
+  };
+  for (const std::string& command : commands) {
+    Outcome outcome;
+    for (const char* pause : {"0.2", "0.4", "0.8", "1.6", "3.2"}) {
+      outcome = test::run_shell("unset WEFT_PLUGIN_PATH; timeout --preserve-status -s TERM " + std::string(pause) +
+                                " '" WEFT_PROGRAM "' " + command);
+      if (outcome.code != 128 + 15) break;  // on a busy machine weft may not have begun
+    }
+    EXPECT_EQ(outcome.code, 1) << command << outcome.output;
+    EXPECT_THAT(outcome.output, AllOf(HasSubstr("stopping; "), HasSubstr("error: interrupted"))) << command;
+    EXPECT_FALSE(std::filesystem::exists(folder / "out")) << command;
+  }
+  // Nor does an import whose fabric is refused write half of its files.
+  const auto fabric = folder.write("fabric.yaml", "nominal: {density_kg_per_m2: -1}\n");
+  const Outcome refused = weft_command(commands[1] + " --fabric '" + fabric.string() + "'");
+  EXPECT_EQ(refused.code, 2);
+  EXPECT_THAT(refused.output, HasSubstr(fabric.string() + ":1: "));
+  EXPECT_FALSE(std::filesystem::exists(folder / "out"));
+}
+
+TEST(Program, EvaluatePhysicsGoesOnWithTheCasesThatHaveEnded) {
+  const Folder folder;
+  const auto config = [&](const char* edge) {
+    return folder.write("physics.yaml",
+                        kTowelTask + "physics: {tests: [free fall, hanging, drape], garment_edge_m: " + edge + "}\n");
+  };
+  const std::string out = (folder / "out").string(), checkpoint = out + "/physics.checkpoint.json",
+                    evaluate = "evaluate physics '" + config("0.05").string() + "' --jobs 1 --out ";
+  const Outcome whole = weft_command(evaluate + "'" + (folder / "whole").string() + "'");
+  ASSERT_LE(whole.code, 1) << whole.output;
+  for (const std::string how : {"", " --in-process"}) {
+    const Outcome stopped = test::run_shell("unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' " + evaluate + "'" + out + "'" +
+                                            how + " & weft=$!\nuntil test -e '" + checkpoint +
+                                            "' || ! kill -0 $weft; do :; done; kill -TERM $weft; wait $weft");
+    ASSERT_EQ(stopped.code, 1) << stopped.output;
+    EXPECT_THAT(stopped.output, HasSubstr("interrupted; run the same command again to finish it"));
+    ASSERT_TRUE(std::filesystem::exists(checkpoint));
+    EXPECT_FALSE(std::filesystem::exists(out + "/physics.json"));
+    auto json = nlohmann::ordered_json::parse(text_of(checkpoint));
+    EXPECT_LT(json["cases"].size(), 3u);
+    // What has ended is taken as it stands, and only if it belongs to the same config.
+    json["cases"][0]["rows"][0]["note"] = "from the checkpoint";
+    folder.write("out/physics.checkpoint.json", json.dump());
+    config("0.06");
+    const Outcome changed = weft_command(evaluate + "'" + out + "'" + how);
+    EXPECT_EQ(changed.code, 2);
+    EXPECT_THAT(changed.output, HasSubstr("physics.garment_edge_m 0.05 -> 0.06"));
+    config("0.05");
+    const Outcome finished = weft_command(evaluate + "'" + out + "'" + how);
+    EXPECT_EQ(finished.code, whole.code) << finished.output;
+    auto found = nlohmann::json::parse(text_of(out + "/physics.json")),
+         wanted = nlohmann::json::parse(text_of(folder / "whole/physics.json"));
+    EXPECT_EQ(found["rows"][0]["note"], "from the checkpoint");
+    found["rows"][0]["note"] = wanted["rows"][0]["note"];
+    EXPECT_EQ(found, wanted);
+    EXPECT_FALSE(std::filesystem::exists(checkpoint));
+    std::filesystem::remove_all(out);
+  }
+}
+
 TEST(Program, WhatASimulatorCannotHonourIsSaid) {
   const Folder folder;
   const auto task =

@@ -52,6 +52,30 @@ TEST(Isolation, RunNamesThePluginAndTheCall) {
   EXPECT_THAT(thrown.output, AllOf(HasSubstr("misbehaves"), HasSubstr("not a std::exception")));
 }
 
+/// The first ^C is answered at once; a plugin that does not come back is named by the second one, which ends weft.
+TEST(Isolation, RunNamesThePluginThatKeepsItFromStopping) {
+  const Folder folder;
+  const auto task = folder.write("task.yaml", kTask + "optimiser: " + misbehaving("loop") + "\n");
+  const std::string out = (folder / "out").string();
+  for (const auto& [signal, code] : {std::pair("INT", 128 + 2), std::pair("TERM", 128 + 15)}) {
+    Outcome outcome;
+    for (const char* pause : {"0.5", "1", "2", "4", "8"}) {  // until the goal is made, which takes hardly any time
+      outcome = test::run_shell("WEFT_PLUGIN_PATH='" WEFT_BAD_PLUGINS "' '" WEFT_PROGRAM "' run '" + task.string() +
+                                "' --quiet --out '" + out + "' 2>'" + out + ".txt' & weft=$!\nsleep " + pause +
+                                "; kill -" + signal + " $weft; until grep -q 'stopping; ' '" + out +
+                                ".txt' || ! kill -0 $weft; do sleep 0.02; done\nsleep 0.2; kill -" + signal +
+                                " $weft; wait $weft; code=$?; cat '" + out + ".txt'; exit $code");
+      std::filesystem::remove_all(out);
+      if (outcome.output.find("turn_for_ever") != std::string::npos) break;
+    }
+    EXPECT_EQ(outcome.code, code) << outcome.output;
+    EXPECT_THAT(outcome.output,
+                AllOf(HasSubstr("stopping; ^C or SIGTERM once more ends weft at once"),
+                      HasSubstr(std::string("error: SIG") + signal), HasSubstr("plugin optimiser misbehaves"),
+                      HasSubstr("turn_for_ever"), HasSubstr("minimise()")));
+  }
+}
+
 TEST(Isolation, CostsItsCellOnly) {
   const Folder folder;
   folder.write("task.yaml", kTask);
