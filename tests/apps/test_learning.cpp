@@ -416,6 +416,54 @@ TEST(Learning, CalibrateWritesAModelAndSaysWhatItFound) {
   EXPECT_FALSE(std::filesystem::exists(folder / "x.calibration.json"));
 }
 
+/// The contents of all files in a folder, by name.
+std::map<std::string, std::string> tree_of(const std::filesystem::path& folder) {
+  std::map<std::string, std::string> all;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder))
+    if (entry.is_regular_file()) all[std::filesystem::relative(entry.path(), folder).string()] = bytes_of(entry.path());
+  return all;
+}
+
+/// train, calibrate and evaluate prediction of the same names, with other examples: refused by name, and nothing changes.
+TEST(Learning, AUsedFolderIsNotContinuedWithOtherExamples) {
+  const Folder folder;
+  const auto data = folder / "data", calibration = folder / "calibration", model = folder / "m/model.h5";
+  const auto generate = [&](const std::filesystem::path& to, int seed) {
+    std::filesystem::remove_all(to);
+    ASSERT_EQ(weft_command("generate '" + kConfig + "' --quiet --examples 24 --seed " + std::to_string(seed) +
+                           " --out " + quoted(to))
+                  .code,
+              0);
+  };
+  generate(data, 1);
+  generate(calibration, 2);
+  const std::string with_model =
+      "'" + kConfig + "' --set predictor.params.model=" + quoted(model) + " --data " + quoted(calibration) + " --out ";
+  const std::string commands[] = {"train '" + kConfig + "' --set predictor.params.training.iterations=20 --data " +
+                                      quoted(data) + " --out " + quoted(model),
+                                  "calibrate " + with_model + quoted(folder / "c/model.h5"),
+                                  "evaluate prediction " + with_model + quoted(folder / "e")};
+  for (const std::string& command : commands) {
+    const Outcome done = weft_command(command + " --quiet");
+    if (WEFT_HAS_TORCH == 0) {
+      EXPECT_THAT(done.output, HasSubstr("made without libtorch"));
+      return;
+    }
+    ASSERT_EQ(done.code, 0) << command << done.output;
+  }
+  generate(data, 3);
+  generate(calibration, 4);
+  for (const std::string& command : commands) {
+    const auto before = tree_of(folder.path());
+    const Outcome refused = weft_command(command + " --quiet");
+    EXPECT_EQ(refused.code, 2) << command << refused.output;
+    EXPECT_THAT(refused.output, AllOf(HasSubstr("holds results that belong to something else"), HasSubstr("data"),
+                                      HasSubstr("--accept-changed")))
+        << command;
+    EXPECT_TRUE(tree_of(folder.path()) == before) << command << " changed the disk";
+  }
+}
+
 TEST(Learning, ADatasetOfAnEarlierVersionGoesOnWhereThatIsAccepted) {
   const Folder folder;
   const auto data = folder / "data";

@@ -1,4 +1,5 @@
 // The kit itself: every law holds for a toy that obeys it and fails for a mutant that does not.
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -68,6 +69,21 @@ TEST_F(Conformance, ATrajectoryThatReturnsNaNFailsItsLaw) {
   for (const auto& [mutation, law] : cases) {
     const auto r = check("trajectory", std::string("mutation: ") + mutation, {}, {law});
     EXPECT_FALSE(r.at(0).passed) << mutation << ", " << law << ": measured " << r.at(0).measured;
+  }
+}
+
+/// Either side of the capability orthotropic: what is declared is measured, and what is not declared is refused, each kind
+/// of difference between warp and weft.
+TEST_F(Conformance, WarpAndWeftAreToldApartOrRefused) {
+  const std::pair<const char*, const char*> cases[] = {
+      {"orthotropic_in_words", "stiffness says 4"},
+      {"stretches_by_direction", "a fabric whose stretch_n_per_m differs between warp and weft was accepted"},
+      {"two_bends", "a fabric whose bend_n_m differs between warp and weft was accepted"},
+      {"tables", "a fabric whose tables differs between warp and weft was accepted"}};
+  for (const auto& [mutation, note] : cases) {
+    const auto r = check("simulator", std::string("mutation: ") + mutation, {}, {"stretches_by_direction"});
+    EXPECT_FALSE(r.at(0).passed) << mutation;
+    EXPECT_THAT(r.at(0).detail, ::testing::HasSubstr(note)) << mutation;
   }
 }
 

@@ -48,6 +48,14 @@ PHYSICS = f"""extends: task.yaml
 simulator: {{plugin: cloth}}
 physics: {{tests: [free fall, hanging], garment_edge_m: 0.05}}
 """
+SCENE = f"""garment: {ROOT}/configs/garments/towel_coarse.yaml
+simulator: {{plugin: cloth}}
+fabric: {{density_kg_per_m2: 0.15, stretch_n_per_m: {{warp: 120, weft: 120, shear: 50}},
+         bend_n_m: {{warp: 2.0e-5, weft: 2.0e-5}}, friction: 0.3, self_friction: 0.3, thickness_m: 0.001}}
+ground: {{height_m: -0.3}}
+duration_s: 5
+output_every_frames: 6
+"""
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,7 @@ class Work:
 
     name: str
     arguments: str
+    options: tuple = ("--quiet", "--jobs=2")
 
 
 WORKS = (
@@ -73,8 +82,12 @@ WORKS = (
                        " --data {inputs}/data --out out"),
     Work("physics", "evaluate physics {inputs}/physics.yaml --out out"),
     Work("learn", "learn {inputs}/experiment.yaml --out out"),
+    Work("simulate", "simulate {inputs}/scene.yaml --out out"),
+    Work("import", f"garment import {ROOT}/configs/garments/towel_coarse.obj --units m --up z --remesh 0.05 --out out",
+         options=("--quiet",)),  # the command line is in its files
+    Work("export", "export {inputs}/session --to gltf --to usd --to csv --to obj --png 0,last --size 64x48 --every 10"
+                   " --out out", options=("--quiet",)),
 )
-JOBS = 2
 
 
 class Kit:
@@ -86,12 +99,14 @@ class Kit:
         self.folder = Path(self._temporary.name)
         self.inputs = self.folder / "inputs"
         self.inputs.mkdir()
-        for name, text in (("task", TASK), ("ablation", ablation(3)), ("experiment", EXPERIMENT), ("physics", PHYSICS)):
+        for name, text in (("task", TASK), ("ablation", ablation(3)), ("experiment", EXPERIMENT), ("physics", PHYSICS),
+                           ("scene", SCENE)):
             (self.inputs / f"{name}.yaml").write_text(text)
         self.works = [work for work in WORKS if not only or work.name in only]
         if unknown := set(only) - {work.name for work in WORKS}:
             raise SystemExit(f"no command is called {', '.join(sorted(unknown))}; they are: "
                              + " ".join(work.name for work in WORKS))
+        self._must("run", "{inputs}/task.yaml --seed 3 --out {inputs}/session")
         self._must("generate", "{inputs}/experiment.yaml --examples 48 --out {inputs}/data")
         with_torch = self._must("train", "{inputs}/experiment.yaml --data {inputs}/data --out {inputs}/model.h5",
                                 may_lack="made without libtorch")
@@ -117,10 +132,13 @@ class Kit:
             raise SystemExit(f"weft {command} of the inputs failed with {end.code}: {end.errors}")
         return end.code == 0
 
-    def start(self, arguments, folder, environment=None, before=(), options=("--quiet", f"--jobs={JOBS}")):
+    def start(self, arguments, folder, environment=None, before=(), options=Work.options):
         """Starts weft in a folder. @param before words before the program, such as `taskset -c 0`."""
         words = [*before, self.weft, *arguments.replace("{inputs}", str(self.inputs)).split(), *options]
         return Running(words, folder, {**CLEAN, **(environment or {})})
+
+    def begin(self, work, folder, environment=None, before=(), options=None):
+        return self.start(work.arguments, folder, environment, before, options or work.options)
 
     def right(self, work):
         """{file name: bytes} of the undisturbed result, and the seconds that it took."""
@@ -128,7 +146,7 @@ class Kit:
             folder = self.folder / f"right-{work.name}"
             folder.mkdir()
             started = time.monotonic()
-            end = self.start(work.arguments, folder).finish()
+            end = self.begin(work, folder).finish()
             if end.code != 0:
                 raise SystemExit(f"weft {work.name} failed undisturbed with {end.code}: {end.errors}")
             self._right[work.name] = (contents(folder / "out"), time.monotonic() - started)

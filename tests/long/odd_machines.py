@@ -64,7 +64,7 @@ def compare(kit, work, name, problems, **start):
     folder = kit.folder / "odd"
     folder.mkdir()
     folder.chmod(0o777)
-    end = kit.start(work.arguments, folder, **start).finish()
+    end = kit.begin(work, folder, **start).finish()
     wrong = [f"ended with {end.code}: {end.errors}"] if end.code else []
     wrong += differences(right, folder / "out") + [f"{one} was left" for one in left_behind(folder)]
     problems += [f"{name}, {work.name}: {text}" for text in wrong]

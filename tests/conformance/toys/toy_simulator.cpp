@@ -17,6 +17,7 @@ class ToySimulator final : public Simulator {
     SimulatorCapabilities c;
     c.snapshots = c.self_contact = c.ground_friction = c.pins = c.gravity_any_direction = c.rest_frames = c.obstacles =
         p_.declare;
+    c.orthotropic = is("orthotropic_in_words");
     return c;
   }
 
@@ -25,7 +26,10 @@ class ToySimulator final : public Simulator {
     SimulatorCapabilities can = capabilities();
     if (p_.accept) can.pins = can.gravity_any_direction = can.rest_frames = can.obstacles = true;
     if (is("stretches_by_direction")) can.orthotropic = true;
-    check_reset("toy", garment.get(), fabric, scene, can);
+    Fabric checked = fabric;
+    if (is("two_bends")) checked.bend_warp_n_m = checked.bend_weft_n_m;
+    if (is("tables")) checked.tables = nullptr;
+    check_reset("toy", garment.get(), checked, scene, can);
     garment_ = std::move(garment);
     fabric_ = fabric;
     scene_ = scene;
