@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs fuzz targets in slices until each has had so many executions, and can be stopped and started again.
 #   tests/fuzz/long.sh BUILD EXECUTIONS [TARGET...]
-# BUILD is that of the preset fuzz. Executions are counted in BUILD/found/executions.txt, one line a slice: time, commit, target,
+# BUILD is that of the preset sanitized. Executions are counted in BUILD/found/executions.txt, one line a slice: time, commit, target,
 # executions, per second. The corpus stays in BUILD/corpus. A target ends at its first finding, the others go on.
 # Exit code 0: each target has had them all; 1: there was a finding.
 set -euo pipefail

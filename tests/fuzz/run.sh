@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs every fuzz target, or those that are named, and ends at the first finding. WEFT_FUZZ_JOBS=N: N of them side by side.
 #   tests/fuzz/run.sh BUILD LIBFUZZER_OPTIONS [TARGET...]
-# BUILD is that of the preset fuzz. Each target starts from its inputs; new ones are kept in BUILD/corpus. The number of runs counts from there.
+# BUILD is that of the preset sanitized. Each target starts from its inputs; new ones are kept in BUILD/corpus. The number of runs counts from there.
 set -euo pipefail
 build=$1 options=$2
 shift 2
