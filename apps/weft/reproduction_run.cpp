@@ -41,6 +41,7 @@ const char* result_of(const std::vector<std::string>& words) {
   if (begins_with(words, {"evaluate", "estimation"})) return "estimation.json";
   if (begins_with(words, {"evaluate", "prediction"})) return "prediction.json";
   if (is_physics(words)) return "physics.json";
+  if (begins_with(words, {"benchmark"})) return "speed.json";
   return nullptr;
 }
 
@@ -137,13 +138,14 @@ ReproductionRun::End ReproductionRun::run_command(const ReproductionCommand& com
   const auto add = [&](std::vector<std::string>& to, const std::vector<std::string>& some) {
     to.insert(to.end(), some.begin(), some.end());
   };
-  const bool is_export = begins_with(words, {"export"}), is_run = begins_with(words, {"run"});
+  const bool is_export = begins_with(words, {"export"}), is_run = begins_with(words, {"run"}),
+             is_benchmark = begins_with(words, {"benchmark"});  // of this machine
   if (!is_export && context_.jobs > 0) add(words, {"--jobs", std::to_string(context_.jobs)});
-  if (!is_export && context_.accept_changed) add(words, {"--accept-changed"});
-  if (!options_.retry_failed.empty() && !is_export && !is_run && !is_physics(words))
+  if (!is_export && !is_benchmark && context_.accept_changed) add(words, {"--accept-changed"});
+  if (!options_.retry_failed.empty() && !is_export && !is_run && !is_benchmark && !is_physics(words))
     add(words, {options_.retry_failed == "all" ? "--retry-failed=all" : "--retry-failed"});
   const auto begun = fs::file_time_type::clock::now() - std::chrono::seconds(1);  // times of files are coarse
-  if (!options_.on.empty() && !is_export && !is_run) {
+  if (!options_.on.empty() && !is_export && !is_run && !is_benchmark) {
     std::vector<std::string> on_cluster = words;
     add(on_cluster, {"--on", options_.on});
     if (const End end = run_words(on_cluster, label, log);

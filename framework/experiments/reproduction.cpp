@@ -113,6 +113,17 @@ PaperTable table_of_runs(const std::vector<ReproductionCommand>& commands) {
   return table;
 }
 
+/// The tables of a benchmark, which keeps them as a measurement does.
+std::vector<PaperTable> tables_of_benchmark(const fs::path& folder) {
+  std::vector<PaperTable> tables;
+  const auto speed = parse_json(text_in_file(folder / "speed.json"));
+  for (const auto& json : speed.at("tables")) {
+    tables.push_back(table_of_json(json));
+    std::replace(tables.back().label.begin(), tables.back().label.end(), '/', '-');
+  }
+  return tables;
+}
+
 /// How many cases of a result failed. @throws ConfigError for a result that is not complete.
 std::int64_t failed_cases(const fs::path& folder) {
   std::int64_t failed = 0;
@@ -180,8 +191,10 @@ void add_tables(const ReproductionStep& step, const ReproductionStep& source, co
                 ordered_json& tables) {
   if (source.params.command == "generate") return;
   const fs::path folder = out / source.part / source.name;
-  const bool is_run = source.params.command == "run";
-  std::vector<PaperTable> found = is_run ? std::vector{table_of_runs(commands_of(source, out))} : paper_tables(folder);
+  const std::string& command = source.params.command;
+  std::vector<PaperTable> found = command == "run"         ? std::vector{table_of_runs(commands_of(source, out))}
+                                  : command == "benchmark" ? tables_of_benchmark(folder)
+                                                           : paper_tables(folder);
   const bool is_session_ablation =
       std::any_of(found.begin(), found.end(), [](const auto& table) { return table.label == "ablation-error_mm"; });
   std::set<std::string> missing(step.params.tables.begin(), step.params.tables.end());
@@ -323,6 +336,8 @@ std::vector<ReproductionCommand> commands_of(const ReproductionStep& step, const
   const auto space = params.command.find(' ');
   words.push_back(params.command.substr(0, space));
   if (space != std::string::npos) words.push_back(params.command.substr(space + 1));
+  const bool is_benchmark = params.command == "benchmark";
+  if (is_benchmark) words.emplace_back("--config");
   words.push_back(name_from(root, params.config));
   for (const auto* options : {&params.options, &step.size.options})
     words.insert(words.end(), options->begin(), options->end());
@@ -354,6 +369,7 @@ std::vector<ReproductionCommand> commands_of(const ReproductionStep& step, const
   } else {
     if (has_seed) words.insert(words.end(), {"--seed", seed});
     if (has_count && params.command == "ablate") words.insert(words.end(), {"--set", "seeds.count=" + count});
+    if (has_count && is_benchmark) words.insert(words.end(), {"--repeats", count});
     if (has_count && params.command == "generate") words.insert(words.end(), {"--examples", count});
     if (has_count && params.command == "evaluate prediction")
       words.insert(words.end(), {"--set", "evaluation.max_examples=" + count});
@@ -362,7 +378,7 @@ std::vector<ReproductionCommand> commands_of(const ReproductionStep& step, const
   }
   if (!params.examples.empty()) words.insert(words.end(), {"--data", (out / params.examples).string()});
   after_sets(words, folder);
-  return {{words, folder}};
+  return {{words, folder, !is_benchmark}};
 }
 
 std::string typed(const std::vector<std::string>& words) {
@@ -417,7 +433,10 @@ ordered_json measurement_of(const Reproduction& all, const ReproductionPart& par
         const auto belongs_to = parse_json(identity.to_json());
         if (!is_of_physics(belongs_to)) add_models(belongs_to, hashes);
       }
-    const std::int64_t count = std::max<std::int64_t>(1, source.size.cases);
+    // The other commands draw their cases from one seed.
+    const auto& command = source.params.command;
+    const bool counts_up = command == "ablate" || command == "run" || command == "evaluate physics";
+    const std::int64_t count = counts_up ? std::max<std::int64_t>(1, source.size.cases) : 1;
     const ordered_json seeds =
         source.params.seed < 0 ? ordered_json() : ordered_json{{"first", source.params.seed}, {"count", count}};
     steps.push_back({{"name", step.name},

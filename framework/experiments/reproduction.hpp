@@ -19,7 +19,7 @@ struct StepSizeParams {
   template <class Visitor>
   void visit(Visitor& v) {
     v("cases", cases, range(0, 1000000),
-      "Number of cases, seeds, examples, runs, or random folds, as the command has them; 0: that of its config.");
+      "Number of cases, seeds, examples, runs, random folds, or repeats, as the command has them; 0: that of its config.");
     v("options", options, "Further words of the command.");
     v("set", set, "Keys of the command's config and their values, dotted: {planning.instances: 8}.");
   }
@@ -38,14 +38,14 @@ struct StepParams {
     v("title", title, "Heading of the step on the part's page; empty: none.");
     v("command", command,
       choice({"ablate", "evaluate planning", "evaluate estimation", "evaluate prediction", "evaluate physics",
-              "generate", "run"}),
+              "generate", "run", "benchmark"}),
       "The command of weft that the step is.");
     v("config", config, "The config file of the command.");
     v("results", results, "In place of a command: PART/STEP, whose results this step shows other tables of.");
     v("examples", examples,
       "PART/STEP: a step with command generate, which makes the examples that this command reads.");
     v("seed", seed, range(-1, 9e15), "The first seed; -1: that of the config.");
-    v("options", options, "Further words of the command, in every size.");
+    v("options", options, "Further words of the command, in every size; of benchmark also its parts.");
     v("set", set, "Keys of the command's config and their values, dotted, in every size.");
     v("tables", tables,
       "Names of the tables of the page; empty: all, but of an ablation of sessions ablation-error_mm.");

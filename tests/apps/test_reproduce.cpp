@@ -35,7 +35,7 @@ std::string quoted(const fs::path& path) { return "'" + path.string() + "'"; }
 Outcome stopped(const fs::path& out, const char* signal, int cells) {
   return test::run_shell("cd '" WEFT_SOURCE_DIR "'; unset WEFT_PLUGIN_PATH; '" WEFT_PROGRAM "' reproduce " +
                          std::string(kPart) + " --quick --jobs 1 --out " + quoted(out) +
-                         " & pid=$!; for i in $(seq 6000); do [ $(ls " + quoted(out / kPart / "held_out/cells") +
+                         " & pid=$!; for i in $(seq 30000); do [ $(ls " + quoted(out / kPart / "held_out/cells") +
                          "/*[0-9a-f].json 2>/dev/null | grep -vc times) -ge " + std::to_string(cells) +
                          " ] && break; sleep 0.01; done; kill -" + signal + " $pid; wait $pid");
 }
@@ -66,7 +66,7 @@ TEST(Reproduce, TheSmallestPartOfQuickGoesOnAfterBeingStoppedAndKilled) {
   EXPECT_FALSE(fs::exists(out / (std::string(kPart) + ".json")));
   stopped(out, "KILL", 3);
   // What a killed weft had begun ends too.
-  for (int i = 0; i < 1000 && is_at_work(out); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  for (int i = 0; i < 3000 && is_at_work(out); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(20));
   EXPECT_FALSE(is_at_work(out));
   const auto kept = cells_of(out);
   ASSERT_GE(kept.size(), 1u);
