@@ -94,8 +94,9 @@ TEST(Measurement, AMarkThatNamesNothingIsRefused) {
       {"<!-- measured fig3 held_out/planning -->", "has no <!-- end -->"},
       {"<!-- measured fig3 held_out/planning\n", "does not end"}};
   for (const auto& [text, what] : wrong)
-    EXPECT_THAT(message_of<ConfigError>([&] { with_measured(std::string("One.\n") + text, all, "page.md"); }),
-                HasSubstr(what));
+    EXPECT_THAT(
+        message_of<ConfigError>([&, mark = std::string(text)] { with_measured("One.\n" + mark, all, "page.md"); }),
+        HasSubstr(what));
 }
 
 /// A repository with one measurement, of which README.md and docs/results.md show numbers.
@@ -187,7 +188,7 @@ TEST(Reproduction, WrongFilesAreRefused) {
        "parts.a.steps.t.examples = a/s, which is no step that makes examples"},
       {"  a: {}", "must have steps"}};
   for (const auto& [parts, what] : wrong)
-    EXPECT_THAT(message_of<ConfigError>([&] { read(parts); }), HasSubstr(what)) << parts;
+    EXPECT_THAT(message_of<ConfigError>([&, given = std::string(parts)] { read(given); }), HasSubstr(what)) << parts;
 }
 
 constexpr const char* kParts = R"(
