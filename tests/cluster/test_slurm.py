@@ -498,9 +498,9 @@ def learned(bench):
     bench.require_done(work)
 
 
-SCENARIOS = [refusals, plain, node_killed, killed_and_requeued, asked_to_end, real_time_limit, never_starts, controller_restarted,
-             no_room, cancelled, killed_while_submitting, too_little_memory, generated, physics, trained_over_ranks, evaluated]
-LONGER = [started_by_mpirun, learned]
+SCENARIOS = [refusals, plain, node_killed, killed_and_requeued, asked_to_end, never_starts, controller_restarted, no_room,
+             cancelled, killed_while_submitting, too_little_memory, generated, physics, trained_over_ranks, evaluated]
+LONGER = [real_time_limit, started_by_mpirun, learned]
 
 
 def main():
