@@ -13,6 +13,7 @@
 #include "output.hpp"
 #include "processes/worker_process.hpp"
 #include "progress_line.hpp"
+#include "sdk/listed.hpp"
 
 namespace weft::app {
 namespace {
@@ -170,10 +171,8 @@ int run_on_cluster(const Context& context, const ClusterOptions& options, Cluste
     context.say("everything is there; nothing was submitted: " + folder);
     return 0;
   }
-  std::string ids;
-  for (const auto& id : submission.ids()) ids += (ids.empty() ? "" : ", ") + id;
-  context.say((end == SubmitEnd::followed ? "the jobs are in the queue already: " : "submitted jobs ") + ids +
-              "; scripts and logs in " + submission.scripts.folder.string());
+  context.say((end == SubmitEnd::followed ? "the jobs are in the queue already: " : "submitted jobs ") +
+              listed(submission.ids()) + "; scripts and logs in " + submission.scripts.folder.string());
   if (end == SubmitEnd::followed && !has_profile_of(submission, call)) {
     context.complain(
         "the jobs keep what they were submitted with, " +

@@ -4,6 +4,7 @@
 #include "cluster/job_states.hpp"
 #include "commands.hpp"
 #include "options.hpp"
+#include "sdk/listed.hpp"
 
 namespace weft::app {
 namespace {
@@ -71,9 +72,8 @@ int cancel(const Context& context, const std::string& folder) {
     submission.is_cancelled = true;
     submission.save();
     slurm.cancel(going);
-    std::string ids;
-    for (const auto& id : going) ids += (ids.empty() ? "" : ", ") + id;
-    context.say(submission.work.command + ": cancelled " + ids + "; what is there stays, and the same command goes on");
+    context.say(submission.work.command + ": cancelled " + listed(going) +
+                "; what is there stays, and the same command goes on");
   }
   return 0;
 }

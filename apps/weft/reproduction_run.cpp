@@ -15,6 +15,7 @@
 #include "report/measurement.hpp"
 #include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
+#include "sdk/listed.hpp"
 
 namespace weft::app {
 namespace {
@@ -98,8 +99,7 @@ int ReproductionRun::run(const std::vector<const ReproductionPart*>& parts) {
     context_.output() << list.dump(2) << '\n';
   }
   if (missing.empty()) return has_failures_ ? 1 : 0;
-  std::string names;
-  for (const auto& name : missing) names += (names.empty() ? "" : ", ") + name;
+  const std::string names = listed(missing);
   std::fprintf(stderr, "error: not done: %s; the same command goes on, with --retry-failed also where cases failed\n",
                names.c_str());
   return is_refused ? 2 : 1;
@@ -138,14 +138,13 @@ ReproductionRun::End ReproductionRun::run_command(const ReproductionCommand& com
   const auto add = [&](std::vector<std::string>& to, const std::vector<std::string>& some) {
     to.insert(to.end(), some.begin(), some.end());
   };
-  const bool is_export = begins_with(words, {"export"}), is_run = begins_with(words, {"run"}),
-             is_benchmark = begins_with(words, {"benchmark"});  // of this machine
+  const bool is_export = begins_with(words, {"export"});
   if (!is_export && context_.jobs > 0) add(words, {"--jobs", std::to_string(context_.jobs)});
-  if (!is_export && !is_benchmark && context_.accept_changed) add(words, {"--accept-changed"});
-  if (!options_.retry_failed.empty() && !is_export && !is_run && !is_benchmark && !is_physics(words))
+  if ((command.is_sweep || begins_with(words, {"run"})) && context_.accept_changed) add(words, {"--accept-changed"});
+  if (!options_.retry_failed.empty() && command.is_sweep && !is_physics(words))
     add(words, {options_.retry_failed == "all" ? "--retry-failed=all" : "--retry-failed"});
   const auto begun = fs::file_time_type::clock::now() - std::chrono::seconds(1);  // times of files are coarse
-  if (!options_.on.empty() && !is_export && !is_run && !is_benchmark) {
+  if (!options_.on.empty() && command.is_sweep) {
     std::vector<std::string> on_cluster = words;
     add(on_cluster, {"--on", options_.on});
     if (const End end = run_words(on_cluster, label, log);
@@ -154,9 +153,7 @@ ReproductionRun::End ReproductionRun::run_command(const ReproductionCommand& com
     // Once more here, where everything is there already: it checks that, and nodes need not be able to draw.
   }
   if (!options_.figures.empty() && has_figures(words)) {
-    std::string formats;
-    for (const auto& one : options_.figures) formats += (formats.empty() ? "" : ",") + one;
-    add(words, {"--figures", formats});
+    add(words, {"--figures", listed(options_.figures, ",")});
   }
   const End end = run_words(words, label, log);
   return end == End::failed && has_results(command, begun) ? End::done : end;
@@ -285,9 +282,7 @@ void ReproductionRun::write_index() const {
     }
   }
   const auto add = [&](const std::string& what, const std::vector<std::string>& names) {
-    std::string list;
-    for (const auto& name : names) list += (list.empty() ? "" : ", ") + name;
-    if (!names.empty()) text += "\n" + what + ": " + list + ".\n";
+    if (!names.empty()) text += "\n" + what + ": " + listed(names) + ".\n";
   };
   add("Not measured yet", missing);
   add("Not part of this size", left_out);

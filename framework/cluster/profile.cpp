@@ -4,6 +4,8 @@
 #include <cctype>
 #include <set>
 
+#include "sdk/listed.hpp"
+
 namespace weft {
 namespace {
 
@@ -20,12 +22,6 @@ std::vector<std::string> profile_names(const std::vector<fs::path>& folders) {
       if (entry.path().extension() == ".yaml") names.insert(entry.path().stem().string());
   }
   return {names.begin(), names.end()};
-}
-
-std::string listed(const std::vector<std::string>& texts) {
-  std::string list;
-  for (const auto& text : texts) list += (list.empty() ? "" : ", ") + text;
-  return list;
 }
 
 bool has_control_character(const std::string& text) {

@@ -11,6 +11,7 @@
 #include "identity/sha256.hpp"
 #include "processes/shell_word.hpp"
 #include "report/measurement.hpp"
+#include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
 #include "weft/config.hpp"
 
@@ -85,12 +86,6 @@ void add_sets(std::vector<std::string>& words, const ConfigNode& set) {
   }
 }
 
-std::string text_in_file(const fs::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) throw ConfigError(file.string() + ": cannot be read");
-  return {std::istreambuf_iterator<char>(stream), {}};
-}
-
 /// The sessions of a step of runs: one row each.
 PaperTable table_of_runs(const std::vector<ReproductionCommand>& commands) {
   PaperTable table{"runs",
@@ -105,8 +100,8 @@ PaperTable table_of_runs(const std::vector<ReproductionCommand>& commands) {
                    0};
   for (const auto& command : commands) {
     if (command.words.front() != "run") continue;
-    const auto summary = parse_json(text_in_file(command.folder / "summary.json"));
-    const auto seed = parse_json(text_in_file(command.folder / "provenance.json")).at("seed");
+    const auto summary = parse_json(whole_text(command.folder / "summary.json"));
+    const auto seed = parse_json(whole_text(command.folder / "provenance.json")).at("seed");
     table.rows.push_back({seed, summary.at("segments"), summary.at("default_error_mm"), summary.at("error_mm"),
                           summary.at("max_error_mm"), summary.at("silhouette_iou")});
   }
@@ -116,7 +111,7 @@ PaperTable table_of_runs(const std::vector<ReproductionCommand>& commands) {
 /// The tables of a benchmark, which keeps them as a measurement does.
 std::vector<PaperTable> tables_of_benchmark(const fs::path& folder) {
   std::vector<PaperTable> tables;
-  const auto speed = parse_json(text_in_file(folder / "speed.json"));
+  const auto speed = parse_json(whole_text(folder / "speed.json"));
   for (const auto& json : speed.at("tables")) {
     tables.push_back(table_of_json(json));
     std::replace(tables.back().label.begin(), tables.back().label.end(), '/', '-');
@@ -133,7 +128,7 @@ std::int64_t failed_cases(const fs::path& folder) {
   for (const char* name : {"ablation.json", "planning.json", "estimation.json"}) {
     const fs::path file = folder / name;
     if (!fs::exists(file)) continue;
-    const auto json = parse_json(text_in_file(file));
+    const auto json = parse_json(whole_text(file));
     if (!json.value("complete", true)) throw ConfigError(file.string() + ": is not complete");
     for (const auto& arm : json.value("arms", ordered_json::array()))
       failed += static_cast<std::int64_t>(arm.at("failed").size());

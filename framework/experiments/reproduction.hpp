@@ -125,7 +125,7 @@ std::vector<const ReproductionStep*> steps_of(const Reproduction& all,
 struct ReproductionCommand {
   std::vector<std::string> words;
   std::filesystem::path folder;
-  bool is_sweep = true;  ///< it takes --accept-changed, --retry-failed, --on and --figures as far as it has them
+  bool is_sweep = true;  ///< of many cases: it takes --accept-changed, --on, and --retry-failed unless it is of physics
 };
 /// The calls of a step, none if it shows the results of another one.
 /// @param out the folder of all results. @param root config files below it are named from there; empty: the working folder.

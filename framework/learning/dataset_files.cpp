@@ -11,6 +11,7 @@
 #include "sdk/files.hpp"
 #include "sdk/fingerprint.hpp"
 #include "sdk/garment_arrays.hpp"
+#include "sdk/listed.hpp"
 #include "weft/hdf5_file.hpp"
 
 namespace weft {
@@ -22,11 +23,6 @@ constexpr const char* kSchema = "weft dataset 2";
 constexpr const char* kFirstSchema = "weft dataset 1";  // compressed shapes, no checksum per example
 constexpr Index kMostSegments = 100000;
 
-std::string join(const std::vector<std::string>& words) {
-  std::string text;
-  for (const auto& word : words) text += (text.empty() ? "" : " ") + word;
-  return text;
-}
 std::vector<std::string> words_of(const std::string& text) {
   std::vector<std::string> words(1);
   for (const char c : text) {
@@ -265,8 +261,8 @@ void write_shard(const fs::path& path, const Shard& shard) {
   file.write("/garment/name", h.garment_name);
   file.write("/garment/hash", std::to_string(h.garment_hash));
   write_garment_form(file, h.garment_form);
-  file.write("/names/controls", join(h.control_names));
-  file.write("/names/states", join(h.state_names));
+  file.write("/names/controls", listed(h.control_names, " "));
+  file.write("/names/states", listed(h.state_names, " "));
   const std::int64_t sizes[5] = {h.vertices, h.controls, h.states, h.hands, h.shard_examples};
   file.write("/sizes", {5}, sizes);
   const double fractions[2] = {h.validation_fraction, h.test_fraction};

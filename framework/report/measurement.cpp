@@ -4,7 +4,9 @@
 #include <fstream>
 #include <iterator>
 
+#include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
+#include "sdk/listed.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -17,18 +19,6 @@ constexpr const char* kMadeFrom = "<!-- Made of ";  // of pages, which nobody ch
 constexpr const char* kMark = "<!-- measured ";
 constexpr const char* kMarkEnd = " -->";
 constexpr const char* kBlockEnd = "<!-- end -->";
-
-std::string text_in(const fs::path& file) {
-  std::ifstream stream(file, std::ios::binary);
-  if (!stream) throw ConfigError(file.string() + ": cannot be read");
-  return {std::istreambuf_iterator<char>(stream), {}};
-}
-
-std::string joined(const std::vector<std::string>& texts, const std::string& between) {
-  std::string all;
-  for (const auto& text : texts) all += (all.empty() ? "" : between) + text;
-  return all;
-}
 
 std::string trimmed(const std::string& text) {
   const auto begin = text.find_first_not_of(" \n"), end = text.find_last_not_of(" \n");
@@ -60,10 +50,10 @@ std::string origin_line(const ordered_json& measurement) {
   const auto cores = machine.at("cores").get<std::int64_t>();
   std::string line = "Size `" + measurement.at("size").get<std::string>() + "`, commit " +
                      measurement.at("commit").get<std::string>() + ", " +
-                     (models.empty() ? "no model" : "model " + joined(models, ", ")) + ", " +
+                     (models.empty() ? "no model" : "model " + listed(models)) + ", " +
                      machine.at("processor").get<std::string>() +
                      (cores > 0 ? ", " + std::to_string(cores) + (cores == 1 ? " core" : " cores") : "") +
-                     (seeds.empty() ? "" : (is_one_seed ? ", seed " : ", seeds ") + joined(seeds, " and ")) + ", " +
+                     (seeds.empty() ? "" : (is_one_seed ? ", seed " : ", seeds ") + listed(seeds, " and ")) + ", " +
                      measurement.at("date").get<std::string>() + ".";
   if (failed > 0) line += " " + std::to_string(failed) + (failed == 1 ? " case" : " cases") + " failed.";
   return line;
@@ -74,7 +64,7 @@ std::string name_of_row(const PaperTable& table, const std::vector<ordered_json>
   std::vector<std::string> words;
   for (std::size_t i = 0; i < std::max<std::size_t>(1, table.texts) && i < row.size(); ++i)
     words.push_back(cell_text(row[i], table.columns.at(i)));
-  return joined(words, ", ");
+  return listed(words);
 }
 
 /// What a mark asks for. @param mark the words after `measured`. @param fail throws with the place of the mark.
@@ -104,18 +94,17 @@ std::string measured(const std::string& mark, const Measurements& measurements, 
   std::vector<std::string> labels;
   for (const auto& table : tables) labels.push_back(table.label);
   const auto place = std::find(labels.begin(), labels.end(), parts[0]) - labels.begin();
-  if (place == static_cast<std::ptrdiff_t>(labels.size())) unknown("table", parts[0], labels);
-  const PaperTable& table = tables[static_cast<std::size_t>(place)];
+  if (place == std::ssize(labels)) unknown("table", parts[0], labels);
+  const PaperTable& table = tables[place];
   if (parts.size() == 1) return "\n\n" + markdown_of(table) + "\n";
   std::vector<std::string> rows, columns;
   for (const auto& row : table.rows) rows.push_back(name_of_row(table, row));
   for (const auto& column : table.columns) columns.push_back(column.name);
   const auto row = std::find(rows.begin(), rows.end(), parts[1]) - rows.begin();
-  if (row == static_cast<std::ptrdiff_t>(rows.size())) unknown("row", parts[1], rows);
+  if (row == std::ssize(rows)) unknown("row", parts[1], rows);
   const auto column = std::find(columns.begin(), columns.end(), parts[2]) - columns.begin();
-  if (column == static_cast<std::ptrdiff_t>(columns.size())) unknown("column", parts[2], columns);
-  return cell_text(table.rows[static_cast<std::size_t>(row)].at(static_cast<std::size_t>(column)),
-                   table.columns[static_cast<std::size_t>(column)]);
+  if (column == std::ssize(columns)) unknown("column", parts[2], columns);
+  return cell_text(table.rows[row].at(column), table.columns[column]);
 }
 
 /// Which characters of a document are code: in fenced blocks and between backticks of one line.
@@ -203,7 +192,7 @@ std::string measurement_page(const ordered_json& measurement) {
 Measurements read_measurements(const fs::path& folder) {
   Measurements all;
   for (const auto& file : files_in(folder, ".json")) {
-    const auto json = parse_json_if_valid(text_in(file));
+    const auto json = parse_json_if_valid(whole_text(file));
     if (!json.is_object() || json.value("schema", ordered_json()) != kMeasurementSchema) continue;
     const std::string name = file.stem().string();
     if (json.value("name", ordered_json()) != name)
@@ -240,10 +229,10 @@ std::vector<StalePage> stale_pages(const fs::path& folder) {
   const Measurements measurements = read_measurements(folder);
   std::vector<StalePage> stale;
   const auto compare = [&](const fs::path& file, const std::string& wanted) {
-    if (!fs::exists(file) || text_in(file) != wanted) stale.push_back({file, wanted});
+    if (!fs::exists(file) || whole_text(file) != wanted) stale.push_back({file, wanted});
   };
   for (const auto& file : files_in(folder, ".md")) {
-    const bool is_made = text_in(file).find(kMadeFrom + file.stem().string() + ".json by") != std::string::npos;
+    const bool is_made = whole_text(file).find(kMadeFrom + file.stem().string() + ".json by") != std::string::npos;
     const bool is_measured = measurements.contains(file.stem().string());
     if (is_made && !is_measured)
       throw ConfigError(file.string() + ": was made of " + file.stem().string() + ".json, which is not there");
@@ -263,7 +252,7 @@ std::vector<StalePage> stale_pages(const fs::path& folder) {
   std::vector<fs::path> files = files_in(documents, ".md");
   if (const fs::path readme = documents.parent_path() / "README.md"; fs::exists(readme)) files.push_back(readme);
   for (const auto& file : files) {
-    const std::string text = text_in(file), wanted = with_measured(text, measurements, file.string());
+    const std::string text = whole_text(file), wanted = with_measured(text, measurements, file.string());
     if (text != wanted) stale.push_back({file, wanted});
   }
   return stale;

@@ -8,18 +8,13 @@
 #include <cstring>
 
 #include "sdk/fingerprint.hpp"
+#include "sdk/listed.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
 namespace {
 
 constexpr std::uint64_t kSplitKey = 0x73706c6974ull;
-
-std::string join(const std::vector<std::string>& words) {
-  std::string text;
-  for (const auto& word : words) text += (text.empty() ? "" : " ") + word;
-  return text;
-}
 
 }  // namespace
 
@@ -129,8 +124,8 @@ void Dataset::require_task(const Task& task) const {
   };
   if (header.control_names != names(task.trajectory->controls()) ||
       header.state_names != names(task.trajectory->state())) {
-    fail("belongs to another trajectory: controls " + join(header.control_names) + ", the task has " +
-         join(names(task.trajectory->controls())));
+    fail("belongs to another trajectory: controls " + listed(header.control_names, " ") + ", the task has " +
+         listed(names(task.trajectory->controls()), " "));
   }
   for (const auto& e : examples) {
     if (e.failed()) continue;

@@ -5,6 +5,7 @@
 #include <sstream>
 
 #include "sdk/files.hpp"
+#include "sdk/listed.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -30,12 +31,6 @@ std::string range_text(const Range& range) {
 std::string entries_text(const Length& length, const char* what) {
   if (length.count == 0) return what;
   return std::to_string(length.count) + " " + what + (length.entries.empty() ? "" : " (" + length.entries + ")");
-}
-
-std::string joined(const std::vector<std::string>& words) {
-  std::string text;
-  for (const auto& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
 }
 
 // Paths in a config are relative to it, but a resolved config may be saved anywhere.
@@ -114,7 +109,7 @@ class Reader final : public ParamVisitor {
     if (const auto& here = declared.variant.here; !here.empty()) {
       if (value == "auto") value = here.back();
       if (node && std::find(here.begin(), here.end(), value) == here.end())
-        node->fail("= " + value + ", a numeric variant that this machine cannot run; it has " + joined(here));
+        node->fail("= " + value + ", a numeric variant that this machine cannot run; it has " + listed(here));
     }
     return ConfigNode::quoted(value);
   }
@@ -221,9 +216,7 @@ class Describer final : public ParamVisitor {
         "[" + shown + "]");
   }
   static void show(const Declaration& declared, const std::vector<std::string>& value, ParamInfo& info) {
-    std::string shown;
-    for (const auto& v : value) shown += (shown.empty() ? "" : ", ") + v;
-    set(info, ParamKind::texts, "list of " + entries_text(declared.length, "texts"), "", "[" + shown + "]");
+    set(info, ParamKind::texts, "list of " + entries_text(declared.length, "texts"), "", "[" + listed(value) + "]");
   }
   static void show(const Declaration& declared, const ConfigNode& value, ParamInfo& info) {
     const auto plugin = value.is_mapping() ? value.find("plugin") : std::nullopt;
