@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "commands.hpp"
@@ -108,7 +109,7 @@ class SpeedFile {
   std::map<std::string, std::string> commands_;
 };
 
-/// Forgets the rows of other things than these, or refuses the folder. @param parts whose rows --again measures anew.
+/// Forgets the rows of other things than these, or refuses the folder. @param parts whose rows are measured again with --again.
 void keep_or_forget(const BenchmarkCall& call, const std::vector<std::string>& parts, const fs::path& out,
                     const Identity& identity, SpeedFile& speed) {
   const auto changes = fs::exists(out / "provenance.json")
@@ -117,7 +118,7 @@ void keep_or_forget(const BenchmarkCall& call, const std::vector<std::string>& p
   if (!changes.empty() && !call.again) {
     std::string text = out.string() + ": holds measurements of something else:";
     for (const auto& change : changes) text += "\n  " + change;
-    throw ConfigError(text + "\nNothing was changed. Give another --out, or --again to measure all anew");
+    throw ConfigError(text + "\nNothing was changed. Give another --out, or --again to measure all of it again");
   }
   if (!changes.empty()) {
     speed.rows.clear();
@@ -127,6 +128,22 @@ void keep_or_forget(const BenchmarkCall& call, const std::vector<std::string>& p
       return std::find(parts.begin(), parts.end(), one.row.at("part").get<std::string>()) != parts.end();
     });
   }
+}
+
+/// The rows of the plan, with what is known of them. They are taken out of `known`.
+/// @param has_limit another limit is given: it may be a larger one.
+std::vector<benchmark::Measured> taken_rows(const benchmark::Plan& plan, bool has_limit,
+                                            std::vector<benchmark::Measured>& known) {
+  std::vector<benchmark::Measured> taken;
+  for (const auto& row : benchmark::rows_of(plan)) {
+    const auto earlier = std::find_if(known.begin(), known.end(), [&](const auto& one) { return one.row == row; });
+    taken.push_back(earlier == known.end() ? benchmark::Measured{row} : *earlier);
+    if (earlier != known.end()) known.erase(earlier);
+    std::string& left_out = taken.back().left_out;  // a crash may have been an accident
+    if (left_out.starts_with(benchmark::kCrashed) || (has_limit && left_out.starts_with(benchmark::kTooLong)))
+      left_out.clear();
+  }
+  return taken;
 }
 
 std::string measured_text(const benchmark::Measured& one) {
@@ -171,17 +188,7 @@ int run_benchmark(Context& context, BenchmarkCall call) {
   const PlacedFolder placed(out);
   write_text(out / "provenance.json", given.provenance(identity));
   // The rows that are asked for come first, those of other parts stay as they are.
-  std::vector<benchmark::Measured> asked;
-  for (const auto& row : benchmark::rows_of(plan)) {
-    const auto known =
-        std::find_if(speed.rows.begin(), speed.rows.end(), [&](const auto& one) { return one.row == row; });
-    asked.push_back(known == speed.rows.end() ? benchmark::Measured{row} : *known);
-    // Another limit may be a larger one, and a crash an accident.
-    std::string& left_out = asked.back().left_out;
-    if (left_out.starts_with(benchmark::kCrashed) || (call.limit_s > 0.0 && left_out.starts_with(benchmark::kTooLong)))
-      left_out.clear();
-    if (known != speed.rows.end()) speed.rows.erase(known);
-  }
+  std::vector<benchmark::Measured> asked = taken_rows(plan, call.limit_s > 0.0, speed.rows);
   const std::vector<benchmark::Measured> others = speed.rows;
   for (const auto& part : call.parts) speed.set_command(part, command_of(part, call, context));
   const ordered_json head{{"schema", kMeasurementSchema},
@@ -244,7 +251,7 @@ void register_benchmark(CLI::App& app, Context& context) {
                    "CPU time in s that one measurement may take; default: 600; rows that take more are left out")
       ->check(within(0.1, 1e6));
   command->add_flag("--quick", call->quick, "The smallest sizes: whether all of it works, in some 20 s");
-  command->add_flag("--again", call->again, "Measure anew what --out holds of these parts");
+  command->add_flag("--again", call->again, "Measure the parts again that --out holds");
   command->callback([&context, call] { context.action = [&context, call] { return run_benchmark(context, *call); }; });
 }
 

@@ -69,8 +69,8 @@ int reproduce(Context& context, const ReproduceCall& call) {
 }  // namespace
 
 void register_reproduce(CLI::App& app, Context& context) {
-  CLI::App* command = app.add_subcommand(
-      "reproduce", "Measure the paper's figures and weft's own anew, and make the documents of them; resumable");
+  CLI::App* command =
+      app.add_subcommand("reproduce", "Measure the paper's figures and weft's own, and make pages of them; resumable");
   auto call = std::make_shared<ReproduceCall>();
   command->add_option("parts", call->parts, "Parts of the config, such as fig3; default: all that the size has");
   add_output_options(*command, context);

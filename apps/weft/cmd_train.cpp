@@ -34,6 +34,16 @@ std::vector<std::string> arguments_of_rank(const Context& context, const TrainCa
   return arguments;
 }
 
+/// The place of this process among the ranks of a fit. @throws ConfigError if --ranks asks for another number.
+FitRanks ranks_of_call(const fs::path& model, int wanted) {
+  const FitRanks ranks = ranks_of_process(model);
+  if (wanted > 1 && ranks.size > 1 && wanted != ranks.size) {
+    throw ConfigError("--ranks " + std::to_string(wanted) + ", but this is one of " + std::to_string(ranks.size) +
+                      " processes that were started as ranks");
+  }
+  return ranks;
+}
+
 /// @throws ConfigError if the predictor cannot be trained over so many ranks.
 void require_ranks(const TrainingCapabilities& can, std::int64_t ranks, const ConfigNode& config) {
   if (ranks > 1 && !can.ranks)
@@ -67,6 +77,13 @@ bool is_finished(const fs::path& record) {
   return parsed.is_object() && parsed.contains("finished") && parsed["finished"] == true;
 }
 
+/// Nothing is left to do. @return the exit code.
+int say_fitted(const Context& context, const fs::path& model) {
+  context.say(model.string() + " is fitted already; remove it to fit it again");
+  if (context.json) context.output() << text_of_file(model.parent_path() / "training.json");
+  return 0;
+}
+
 /// Prints how far the fit is.
 FitObserver fit_lines(const Context& context) {
   return [&context](const FitProgress& p) {
@@ -86,11 +103,7 @@ int train_model(Context& context, const TrainCall& call) {
   const int wanted_ranks = call.ranks;
   std::vector<std::string> folders = call.data;
   const fs::path model = model_file(context, "weft train");
-  const FitRanks ranks = ranks_of_process(model);
-  if (wanted_ranks > 1 && ranks.size > 1 && wanted_ranks != ranks.size) {
-    throw ConfigError("--ranks " + std::to_string(wanted_ranks) + ", but this is one of " + std::to_string(ranks.size) +
-                      " processes that were started as ranks");
-  }
+  const FitRanks ranks = ranks_of_call(model, wanted_ranks);
   if (ranks.rank > 0) context.quiet = true;  // rank 0 speaks for all
   const fs::path record = fs::path(model).replace_extension(".provenance.json");
   const fs::path checkpoint = fs::path(model).replace_extension(".checkpoint.h5");
@@ -128,11 +141,8 @@ int train_model(Context& context, const TrainCall& call) {
   options.accept_changed = context.accept_changed;
   options.ranks = ranks;
   if (is_used) require_identity(model.string(), earlier, identity, context.accept_changed);
-  if (fs::exists(model) && !fs::exists(checkpoint) && is_finished(record) && identity.changes_since(earlier).empty()) {
-    context.say(model.string() + " is fitted already; remove it to fit it anew");
-    if (context.json) context.output() << text_of_file(model.parent_path() / "training.json");
-    return 0;
-  }
+  if (fs::exists(model) && !fs::exists(checkpoint) && identity.changes_since(earlier).empty() && is_finished(record))
+    return say_fitted(context, model);
   if (call.cluster.is_given())
     return run_on_cluster(context, call.cluster, work,
                           [&] { write_planned_identity(work.results, work.label, identity); });

@@ -4,7 +4,7 @@
 
 namespace weft {
 
-Halving::Halving(Index instances, Index iterations, Index times) : wanted_(static_cast<std::size_t>(instances), true) {
+Halving::Halving(Index instances, Index iterations, Index times) : wanted_(instances, true) {
   for (Index n = times; n > 0; --n) {
     const Index moment = n < 62 ? iterations >> n : 0;
     if (moment > 0) moments_.push_back(moment);
@@ -18,8 +18,7 @@ void Halving::look(Index iteration, const Vector& best_costs) {
     for (Index i = 0; i < best_costs.size(); ++i)
       if (wants(i)) running.push_back(i);
     std::stable_sort(running.begin(), running.end(), [&](Index a, Index b) { return best_costs[a] < best_costs[b]; });
-    for (std::size_t k = (running.size() + 1) / 2; k < running.size(); ++k)
-      wanted_[static_cast<std::size_t>(running[k])] = false;
+    for (std::size_t k = (running.size() + 1) / 2; k < running.size(); ++k) wanted_[running[k]] = false;
   }
 }
 

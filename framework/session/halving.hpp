@@ -14,7 +14,7 @@ class Halving {
   Halving(Index instances, Index iterations, Index times);
   /// Call it in an OptimiserObserver, with what that gets.
   void look(Index iteration, const Vector& best_costs);
-  bool wants(Index instance) const { return wanted_[static_cast<std::size_t>(instance)]; }
+  bool wants(Index instance) const { return wanted_[instance]; }
 
  private:
   std::vector<bool> wanted_;

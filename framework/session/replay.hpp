@@ -12,7 +12,8 @@ struct LonePlan {
   Positions goal;                              ///< [V, 3] m
 };
 /// `weft plan`: the first plan of the session in `params`, corrected as in a session, or the plan before one segment of a
-/// recorded session. Only that before the first segment is corrected: later ones follow from those before. The latter uses the observations and the knowledge that the session had then (knowledge: true: the recorded material).
+/// recorded session. Only that before the first segment is corrected: later ones follow from those before. A recorded session gives
+/// the observations and the knowledge that it had then (knowledge: true: the recorded material).
 /// @param recorded null: a new session. @param segment 1-based.
 /// @throws ConfigError for another garment or a segment beyond the end of the session; as run_session().
 LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded, Index segment,

@@ -375,7 +375,7 @@ std::string session_summary_json(const SessionResult& result) {
   summary["predicted_error_mm"] = predicted;
   auto corrections = ordered_json::array();
   for (std::size_t j = 0; j < result.rounds.size(); ++j) {
-    if (const auto& done = result.rounds[j].correction) corrections.push_back(to_json(*done, static_cast<Index>(j)));
+    if (const auto& done = result.rounds[j].correction) corrections.push_back(to_json(*done, j));
   }
   if (!corrections.empty()) summary["corrections"] = corrections;
   auto estimate_ended = ordered_json::array();

@@ -98,7 +98,7 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   const Outcome again = weft_command("train '" + kConfig + "' --jobs 1 --data " + quoted(whole) + " --out " +
                                      quoted(folder / "a/model.h5"));
   EXPECT_EQ(again.code, 0) << again.output;
-  EXPECT_THAT(again.output, HasSubstr("is fitted already; remove it to fit it anew"));
+  EXPECT_THAT(again.output, HasSubstr("is fitted already; remove it to fit it again"));
   EXPECT_EQ(std::filesystem::last_write_time(folder / "a/model.h5"), written);
   // With all shapes in memory, and example by example, the fit is the same.
   const Outcome at_once = weft_command(train + quoted(folder / "m/model.h5") + " --in-memory");

@@ -459,7 +459,7 @@ def started_by_mpirun(bench):
     ask_to_end(bench, f"{array}_1")
     bench.require_done(work, "the job was started 2 times", "1 x after Slurm asked it to end", file=file)
     log = (bench.out / f"slurm/train-model/logs/task-{array}_1.log").read_text()
-    require("2 ranks, 1 threads, from the checkpoint" in log, f"the second start began anew: {log}")
+    require("2 ranks, 1 threads, from the checkpoint" in log, f"the second start began from the start: {log}")
 
 
 def evaluated(bench):

@@ -180,7 +180,7 @@ class ToyOptimiser final : public Optimiser {
         break;
       }
       for (std::size_t i = 0; i < all.size(); ++i) {
-        if (!options.wanted || !all[i].running || options.wanted(static_cast<Index>(i))) continue;
+        if (!options.wanted || !all[i].running || options.wanted(i)) continue;
         all[i].running = false;
         results[i].status = OptimiserStatus::stopped;
         if (is("an_unwanted_instance_ends_alone")) all[0].running = false;
