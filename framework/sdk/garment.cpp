@@ -602,12 +602,13 @@ Positions positions_on_ground(const Garment& garment, double ground, double thic
   return positions;
 }
 
-LowestLayer lowest_layer(const Garment& garment, const Positions& shape) {
-  if (garment.form.layers.empty()) return {shape.col(2).mean(), shape.rows()};
+LowestLayer lowest_layer(const Garment& garment, const Positions& shape, const std::vector<bool>& seen) {
+  const bool is_flat = garment.form.layers.empty();
+  if (is_flat && seen.empty()) return {shape.col(2).mean(), shape.rows()};
   LowestLayer lowest;
   for (Index v = 0; v < shape.rows(); ++v) {
-    if (garment.layer(v) > 0.0) continue;
-    lowest.height += shape(v, 2) - garment.positions(v, 2);
+    if (garment.layer(v) > 0.0 || (!seen.empty() && !seen[v])) continue;
+    lowest.height += shape(v, 2) - (is_flat ? 0.0 : garment.positions(v, 2));
     ++lowest.vertices;
   }
   lowest.height /= std::max<double>(1.0, static_cast<double>(lowest.vertices));

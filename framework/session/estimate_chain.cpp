@@ -1,12 +1,16 @@
 #include "session/estimate_chain.hpp"
 
+#include <cmath>
+#include <limits>
 #include <utility>
 
 namespace weft {
 
 void set_start(EstimateRequest& request, const Task& task, const Observation& seen) {
   request.start = filled_start(task, seen);
-  request.start_sigma = seen.sigma;
+  const Index count = lowest_layer(*task.garment, *request.start, seen.observed).vertices;
+  request.start_sigma =
+      count > 0 ? seen.sigma / std::sqrt(static_cast<double>(count)) : std::numeric_limits<double>::infinity();
   request.start_height_sigma = seen.height_sigma;
 }
 
@@ -21,6 +25,7 @@ SessionEstimator::SessionEstimator(const Task& task, std::shared_ptr<const Predi
 Estimate SessionEstimator::next(EstimateRequest request, const Estimate* previous) const {
   const Index segments = request.controls.rows();
   if (segments > network_.max_segments().value_or(segments)) return *previous;
+  const std::optional<MaterialKnowledge> prior = request.previous;
   if (previous) request.previous = previous->knowledge;
   if (!corrector_ || !corrector_->applies(segments)) return network_.estimate(request);
   if (previous && previous->corrected) {
@@ -28,7 +33,8 @@ Estimate SessionEstimator::next(EstimateRequest request, const Estimate* previou
     return next.corrected ? next : *previous;
   }
   Estimate network = network_.estimate(request);
-  const MaterialProperties start = network.posterior ? network.posterior->mode : network.knowledge.centre;
+  MaterialProperties start = network.posterior ? network.posterior->mode : network.knowledge.centre;
+  if (prior) start = start.cwiseMax(prior->centre - 0.5 * prior->width).cwiseMin(prior->centre + 0.5 * prior->width);
   Estimate corrected = corrector_->first(request, start);
   if (!corrected.corrected) return network;
   corrected.nll = network.nll;
@@ -45,8 +51,10 @@ EstimateChain::EstimateChain(const SessionEstimator* estimator, Host& host, std:
   history_.seed = seed;
 }
 
-void EstimateChain::start(const Task& task, const Observation& seen, const Vector& state, Index controls) {
+void EstimateChain::start(const Task& task, const Observation& seen, const Vector& state, Index controls,
+                          const MaterialKnowledge& prior) {
   set_start(history_, task, seen);
+  if (prior.width.mean() < MaterialKnowledge::none().width.mean()) history_.previous = prior;
   history_.state = state;
   history_.controls.resize(0, controls);
 }

@@ -21,7 +21,7 @@ class SessionEstimator {
                    const ConfigNode& simulator, Host& host);
   /// The estimate after one more segment: the network's, or, once enough segments were seen, the corrected one. Beyond
   /// the predictor's max_segments() the previous one stays.
-  /// @param previous null: the first.
+  /// @param request its `previous`: the prior, or nothing. @param previous null: the first.
   Estimate next(EstimateRequest request, const Estimate* previous) const;
   const Estimator& network() const { return network_; }
 
@@ -36,8 +36,9 @@ class EstimateChain {
  public:
   /// @param estimator may be null if add() is never called.
   EstimateChain(const SessionEstimator* estimator, Host& host, std::uint64_t seed);
-  /// @param controls C, the number of controls. @param state [S].
-  void start(const Task& task, const Observation& seen, const Vector& state, Index controls);
+  /// @param controls C, the number of controls. @param state [S]. @param prior what is known before the first segment.
+  void start(const Task& task, const Observation& seen, const Vector& state, Index controls,
+             const MaterialKnowledge& prior);
   /// Adds an executed segment and its observation. Beyond the predictor's max_segments() the last estimate stays.
   void add(ConstVec control, Observation seen);
   /// The estimate after `segments` segments; no knowledge before the first one. Waits for it.

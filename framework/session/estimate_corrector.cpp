@@ -37,11 +37,9 @@ class EstimateCorrector::Search {
         if (seen.sees(v)) shape.vertices.push_back(v);
       if (!shape.vertices.empty()) shapes_.push_back(std::move(shape));
     }
-    const LowestLayer lowest = lowest_layer(*owner.task_.garment, *request.start);
-    const double noise = request.start_sigma / std::sqrt(static_cast<double>(lowest.vertices));
-    start_sigma_ = std::hypot(owner.params_.start_height_sigma_m, noise);
+    start_sigma_ = std::hypot(owner.params_.start_height_sigma_m, request.start_sigma);
     has_start_ = owner.params_.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
-    start_height_ = lowest.height;
+    start_height_ = lowest_layer(*owner.task_.garment, *request.start).height;
     bias_sigma_ = std::max(request.start_height_sigma, 1e-9);
   }
 

@@ -71,10 +71,8 @@ class EstimationObjective final : public Objective {
     noise_share_ = information_ / n;
     has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
     if (has_start_height_) {
-      const LowestLayer lowest = lowest_layer(*task.garment, *request.start);
-      start_height_ = lowest.height;
-      const double noise = request.start_sigma / std::sqrt(static_cast<double>(lowest.vertices));
-      start_height_sigma_ = std::hypot(params.start_height_sigma_m, noise, request.start_height_sigma);
+      start_height_ = lowest_layer(*task.garment, *request.start).height;
+      start_height_sigma_ = std::hypot(params.start_height_sigma_m, request.start_sigma, request.start_height_sigma);
     }
   }
 

@@ -115,10 +115,11 @@ struct EstimateRequest {
   Vector state;                                                  ///< [S] at the start
   Controls controls;                                             ///< [i, C]: m_0 ... m_{i-1}
   std::vector<std::shared_ptr<const Observation>> observations;  ///< [i]: s_1 ... s_i
-  double start_sigma = 0.0;                                      ///< m: measurement noise of s_0, per coordinate
-  double start_height_sigma = 0.0;                               ///< m: of the error shared by all heights of s_0
-  std::optional<MaterialKnowledge> previous;                     ///< the previous estimate
-  Index round = 0;                                               ///< number of the estimate; keys the noise
+  double start_sigma =
+      0.0;  ///< m: of the mean height of s_0's lowest layer, by the noise of the vertices that were seen
+  double start_height_sigma = 0.0;            ///< m: of the error shared by all heights of s_0
+  std::optional<MaterialKnowledge> previous;  ///< the previous estimate, or a prior
+  Index round = 0;                            ///< number of the estimate; keys the noise
   std::uint64_t seed = 0;
 };
 

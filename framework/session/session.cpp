@@ -95,21 +95,31 @@ std::optional<MaterialProperties> true_material_of(const SessionParams& params) 
   return q;
 }
 
+namespace {
+
+/// The key that says what is known before the first segment, and its value: none, true, given or drawn.
+std::pair<const char*, std::string> what_is_known(const SessionParams& params) {
+  return params.knowledge == "estimate" ? std::pair("prior", params.prior) : std::pair("knowledge", params.knowledge);
+}
+
+}  // namespace
+
 MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin,
                                   const std::optional<MaterialProperties>& true_material) {
   MaterialKnowledge knowledge;
-  if ((params.knowledge == "true" || params.knowledge == "drawn") && !true_material) {
+  const auto& [key, known] = what_is_known(params);
+  if ((known == "true" || known == "drawn") && !true_material) {
     // `true` is the default, so that the key may be missing.
-    place(origin, "knowledge")
-        .fail("= " + params.knowledge +
+    place(origin, key)
+        .fail("= " + known +
               ", which needs true_material if a process executes the fold; without it use none, given or estimate");
   }
-  if (params.knowledge == "true") knowledge = MaterialKnowledge::certain(*true_material);
-  if (params.knowledge == "given") {
+  if (known == "true") knowledge = MaterialKnowledge::certain(*true_material);
+  if (known == "given") {
     knowledge.centre = property_vector(params.given_centre);
     knowledge.width = property_vector(params.given_width);
   }
-  if (params.knowledge == "drawn") {
+  if (known == "drawn") {
     RandomStream random(params.seed, kKnowledgeStream);
     knowledge.width.setConstant(params.drawn_width);
     for (Index p = 0; p < 4; ++p) {
@@ -133,13 +143,17 @@ Task session_task(const SessionParams& params, const ConfigNode& origin, Host& h
 }
 
 void check_session(const SessionParams& params, const ConfigNode& origin, const Task& task) {
-  if (params.knowledge == "given" && (params.given_centre.empty() || params.given_width.empty()))
-    place(origin, "knowledge").fail("= given, which needs given_centre and given_width, lists of 4 numbers in [0, 1]");
+  if (params.prior != "none" && params.knowledge != "estimate")
+    must_be(place(origin, "prior"),
+            "left out with knowledge: " + params.knowledge + "; only estimate starts from a prior");
+  const auto& [knows, known] = what_is_known(params);
+  if (known == "given" && (params.given_centre.empty() || params.given_width.empty()))
+    place(origin, knows).fail("= given, which needs given_centre and given_width, lists of 4 numbers in [0, 1]");
   if (!params.environment.simulated() && !params.world.is_the_tasks()) {
     must_be(place(origin, params.world.spread > 0.0 ? "world.spread" : "world.simulator"),
             "left out with environment.command: the process is the world");
   }
-  if (!params.unknown.empty() && (params.knowledge == "none" || params.knowledge == "estimate"))
+  if (!params.unknown.empty() && known == "none")
     must_be(place(origin, "unknown"),
             "left out with knowledge: " + params.knowledge + ", which knows nothing at first");
   for (const auto& name : params.unknown) property_of(name, place(origin, "unknown"));
@@ -230,7 +244,7 @@ class SessionRun {
     result_.start = environment.true_shape().value_or(*current_);
     result_.error_mm = error_mm(first);
     last_seen_ = first.observed;
-    chain_.start(setup.task, first, state_, std::ssize(trajectory_.controls()));
+    chain_.start(setup.task, first, state_, std::ssize(trajectory_.controls()), setup.knowledge);
     if (setup.twin) plans_.emplace(setup.planner, setup.twin, params.correction, host, memory);
   }
 

@@ -32,6 +32,7 @@ struct SessionParams {
   WorldParams world;
   std::vector<double> true_material;
   std::string knowledge = "true";
+  std::string prior = "none";
   std::vector<double> given_centre, given_width;
   std::vector<std::string> unknown;
   double drawn_width = 0.1;
@@ -66,13 +67,16 @@ struct SessionParams {
       "q of the executed fold; default: drawn from the seed, or unknown if a process executes it.", property_list());
     v("knowledge", knowledge, choice({"none", "true", "given", "drawn", "estimate"}),
       "Knowledge of the material for the plans; estimate: estimated from the session so far.");
-    v("given_centre", given_centre, range(0, 1), "knowledge: given: c.", property_list());
-    v("given_width", given_width, range(0, 1), "knowledge: given: w.", property_list());
+    v("prior", prior, choice({"none", "given", "drawn"}),
+      "knowledge: estimate: what is known before the first estimate. The plans use it until an estimate is narrower, and the "
+      "estimates start from it.");
+    v("given_centre", given_centre, range(0, 1), "knowledge or prior given: c.", property_list());
+    v("given_width", given_width, range(0, 1), "knowledge or prior given: w.", property_list());
     v("unknown", unknown,
-      "Properties of which the plans know nothing, such as [bend], while `knowledge` holds for the others. Not for "
-      "knowledge none and estimate.");
+      "Properties of which the plans know nothing, such as [bend], while `knowledge` or `prior` holds for the others. "
+      "Not where nothing is known anyway.");
     v("drawn_width", drawn_width, range(0, 1),
-      "knowledge: drawn: w of all properties; c is drawn uniformly from [q - w/2, q + w/2] (section 4).");
+      "knowledge or prior drawn: w of all properties; c is drawn uniformly from [q - w/2, q + w/2] (section 4).");
     v("knowledge_lag", knowledge_lag, range(0, 1000, "segments"),
       "knowledge: estimate: plan j uses the observations up to segment j - knowledge_lag. From 1 on the estimate runs "
       "in parallel to planning and execution; 0 waits for it.");
@@ -97,8 +101,8 @@ Task session_task(const SessionParams& params, const ConfigNode& origin, Host& h
                   std::shared_ptr<const StartShape> start = nullptr);
 /// q of the executed fold: given, or drawn from the seed. nullopt if a process executes the fold and q is not given.
 std::optional<MaterialProperties> true_material_of(const SessionParams& params);
-/// The knowledge before the first segment; none for `estimate`, unless StartShape has some.
-/// @throws ConfigError for knowledge `true` or `drawn` if the true material is unknown.
+/// The knowledge before the first segment; for `estimate` the prior.
+/// @throws ConfigError for `true` or `drawn` if the true material is unknown.
 MaterialKnowledge first_knowledge(const SessionParams& params, const ConfigNode& origin,
                                   const std::optional<MaterialProperties>& true_material);
 

@@ -8,7 +8,7 @@
 #include <cmath>
 
 #include "optimiser/rprop/rprop.cpp"
-#include "session/estimator.hpp"
+#include "session/estimate_chain.hpp"
 #include "unit/serial_host.hpp"
 #include "unit/test_support.hpp"
 #include "unit/toy_trajectory.hpp"
@@ -426,6 +426,22 @@ TEST(Estimator, ADeclaredErrorOfTheHeightsWidensTheThickness) {
   EXPECT_NEAR(bench.estimate(bench.request).knowledge.width(3), 1e-5 * bench.width_per_metre, 0.002);
   bench.request.start_height_sigma = 0.0002;
   EXPECT_NEAR(bench.estimate(bench.request).knowledge.width(3), 0.0002 * bench.width_per_metre, 0.03);
+}
+
+TEST(Estimator, TheStartIsAsSureAsTheVerticesThatWereSeen) {
+  FlatBench bench;
+  Observation seen{.positions = *bench.request.start, .sigma = 0.002};
+  const auto vertices = static_cast<double>(seen.positions.rows());
+  const auto sigma = [&] {
+    EstimateRequest request;
+    set_start(request, bench.task, seen);
+    return request.start_sigma;
+  };
+  EXPECT_DOUBLE_EQ(sigma(), 0.002 / std::sqrt(vertices));
+  seen.observed.assign(seen.positions.rows(), false);
+  EXPECT_EQ(sigma(), std::numeric_limits<double>::infinity());
+  seen.observed[0] = seen.observed[1] = true;
+  EXPECT_DOUBLE_EQ(sigma(), 0.002 / std::sqrt(2.0));
 }
 
 TEST(Estimator, ShapesThatNoMaterialExplainsWidenByBirgesRatio) {

@@ -352,6 +352,26 @@ TEST_F(Session, DrawnKnowledgeHoldsTheTruth) {
   }
 }
 
+TEST_F(Session, AnEstimateStartsFromThePrior) {
+  const std::vector<std::string> quick = {"planning.iterations=0", "planning.instances=1",
+                                          "planning.replan_iterations=0", "knowledge=estimate"};
+  const auto prior = with(quick, {"prior=drawn", "drawn_width=0.04"});
+  const MaterialKnowledge drawn = run(with(prior, {"knowledge=drawn", "prior=none"})).rounds.front().knowledge;
+  const SessionResult result = run(prior);
+  EXPECT_EQ(result.rounds.front().knowledge.centre, drawn.centre);
+  EXPECT_EQ(result.rounds.front().knowledge.width, drawn.width);
+  // What is known never gets wider, and no search from nothing is closer to the truth after one segment.
+  for (const auto& round : result.rounds) EXPECT_LE(round.knowledge.width.mean(), 0.04 + 1e-12);
+  const auto deviation = [](const SessionResult& r) {
+    return (r.estimates.front().posterior->mode - *r.true_material).cwiseAbs().mean();
+  };
+  EXPECT_LT(deviation(result), deviation(run(quick)));
+  const auto given = run(with(quick, {"prior=given", "given_centre=[0.2, 0.3, 0.4, 0.5]",
+                                      "given_width=[0.1, 0.2, 0.3, 0.4]", "unknown=[stretch]"}));
+  EXPECT_EQ(given.rounds.front().knowledge.centre, MaterialProperties(0.2, 0.3, 0.5, 0.5));
+  EXPECT_EQ(given.rounds.front().knowledge.width, PropertyVector(0.1, 0.2, 1.0, 0.4));
+}
+
 TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
   const auto message = [&](const std::vector<std::string>& overrides) {
     return test::message_of<ConfigError>([&] { run(overrides); });
@@ -365,6 +385,8 @@ TEST_F(Session, RefusesBadGoalsAndMaterialsBeforeAnyWork) {
       {{"goal.material=[1]"}, "--set: goal.material = [1], must be a list of 4 numbers"},
       {{"estimation.deviation_scale=[1, 2]"}, "--set: estimation.deviation_scale = [1, 2], must be a list of 4"},
       {{"knowledge=given"}, "--set: knowledge = given, which needs given_centre and given_width"},
+      {{"knowledge=estimate", "prior=given"}, "--set: prior = given, which needs given_centre and given_width"},
+      {{"knowledge=none", "prior=drawn"}, "--set: prior = drawn, must be left out with knowledge: none; only estimate"},
       {{"knowledge=given", "given_centre=[1]"}, "--set: given_centre = [1], must be a list of 4 numbers"},
       {{"scene.gravity_m_per_s2=[-9.81]"}, "--set: scene.gravity_m_per_s2 = [-9.81], must be a list of 3 numbers"},
       {{"planning.vertices=[99999]"}, "--set: planning.vertices.0 = 99999, must be a vertex in [0, "},

@@ -68,7 +68,8 @@ struct LowestLayer {
   double height = 0.0;  ///< m, mean z; of a garment with layers less each vertex's height above its layer
   Index vertices = 0;
 };
-WEFT_API LowestLayer lowest_layer(const Garment& garment, const Positions& shape);
+/// @param seen [V]: which vertices count; empty: all.
+WEFT_API LowestLayer lowest_layer(const Garment& garment, const Positions& shape, const std::vector<bool>& seen = {});
 
 /// Mean distance between corresponding vertices, mm: the paper's error measure (Fig. 3).
 /// @throws ShapeError if the numbers of vertices differ.
