@@ -300,9 +300,10 @@ void draw_goal(Canvas& canvas, const Camera& camera, const Surface& goal) {
 
 /// Where the hands went up to a frame, and where they are while they hold the cloth.
 void draw_paths(Canvas& canvas, const Camera& camera, const SessionRecord& session, std::size_t frame) {
-  const std::size_t release = session.segment_frame(session.segments());
   const double pixel = canvas.width / 1600.0;  // the same share of every picture
-  for (const Index vertex : session.grasp_vertices) {
+  for (Index hand = 0; hand < std::ssize(session.grasp_vertices); ++hand) {
+    const Index vertex = session.grasp_vertices[hand];
+    const std::size_t release = session.held_until(hand);
     const auto at = [&](std::size_t f) { return camera.project(session.frames[f].row(vertex).transpose()); };
     for (std::size_t f = 0; f < std::min(frame, release); ++f)
       canvas.line(at(f), at(f + 1), 3.0 * pixel, rgb(0xb23a00), 1.0f, 0.005f);

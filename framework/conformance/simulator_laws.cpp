@@ -306,6 +306,32 @@ Outcome release_leaves_no_kick(const Bench& bench) {
   return {worst, ""};
 }
 
+Outcome one_hand_lets_go(const Bench& bench) {
+  const auto sim = bench.make<Simulator>();
+  sim->reset(sheet(), plain_fabric(), Scene());
+  sim->grasp(kCorners);
+  Positions targets = held(*sim);
+  const Index freed = kCorners[0], kept = kCorners[1];
+  const auto up = [&](Index frames, double step) {
+    for (Index k = 0; k < frames; ++k) {
+      targets.col(2).array() += step;
+      sim->step(targets);
+    }
+  };
+  const double low = sim->positions()(freed, 2);
+  up(20, 0.008);
+  const double high = sim->positions()(freed, 2);
+  sim->release(std::span(&freed, 1));
+  if (sim->grasped() != std::vector<Index>{kept}) return failed("grasped() is not the vertex of the other hand");
+  if (sim->velocities().row(freed).norm() > 1e-9) return failed("the vertex that was let go gets a kick");
+  targets = held(*sim);
+  for (Index k = 0; k < 3; ++k) {
+    up(10, 0.001);
+    if ((held(*sim) - targets).cwiseAbs().maxCoeff() > 1e-12) return failed("the other vertex leaves its target");
+  }
+  return {(sim->positions()(freed, 2) - low) / (high - low), ""};
+}
+
 Outcome frames_are_counted(const Bench& bench) {
   Carry run(bench.make<Simulator>());
   double wrong = run.sim->frame() == 0 ? 0.0 : 1.0;
@@ -795,6 +821,10 @@ std::vector<Law> motion_laws() {
        held_vertex_follows_its_target},
       {"release_leaves_no_kick", "A vertex that is released while it moves starts at rest (m/s).", 1e-9,
        release_leaves_no_kick},
+      {"one_hand_lets_go",
+       "Of two held vertices one is released: it starts at rest and falls, and the other stays on its target (share of its "
+       "height left after 0.5 s).",
+       0.5, one_hand_lets_go},
       {"frames_are_counted", "frame() counts the frames of step() and settle() since reset() (wrong counts).", 0,
        frames_are_counted},
       {"settles",

@@ -161,6 +161,8 @@ std::string session_page(const std::string& page_template, const SessionRecord& 
   json["properties"] = kPropertyNames;
   json["garment"] = garment_json(page, session.garment_name, session.faces, session.vertex_count());
   json["garment"]["held"] = session.grasp_vertices;
+  for (Index hand = 0; hand < std::ssize(session.grasp_vertices); ++hand)
+    json["garment"]["held_until"].push_back(session.held_until(hand));
   if (!session.trajectory.empty())
     json["trajectory"] = parse_named_json(session.trajectory, "trajectory of the session");
   auto& data = json["session"];

@@ -9,12 +9,25 @@
 
 #include "sdk/fingerprint.hpp"
 #include "sdk/listed.hpp"
+#include "weft/config.hpp"
 #include "weft/random.hpp"
 
 namespace weft {
 namespace {
 
 constexpr std::uint64_t kSplitKey = 0x73706c6974ull;
+
+/// manipulation.opens_at of a dataset's config as Manipulation has it; a config without it: empty.
+std::vector<double> opening_of(const std::string& config) {
+  const ConfigNode root = ConfigNode::parse(config, "/config of the dataset");
+  const auto manipulation = root.is_mapping() ? root.find("manipulation") : std::nullopt;
+  const auto list = manipulation && manipulation->is_mapping() ? manipulation->find("opens_at") : std::nullopt;
+  std::vector<double> opens_at;
+  for (std::size_t k = 0; list && list->is_sequence() && k < list->size(); ++k)
+    opens_at.push_back((*list)[k].as_double());
+  const bool is_early = std::any_of(opens_at.begin(), opens_at.end(), [](double at) { return at < 1.0; });
+  return is_early ? opens_at : std::vector<double>();
+}
 
 }  // namespace
 
@@ -127,6 +140,10 @@ void Dataset::require_task(const Task& task) const {
     fail("belongs to another trajectory: controls " + listed(header.control_names, " ") + ", the task has " +
          listed(names(task.trajectory->controls()), " "));
   }
+  const std::vector<double> opens_at = opening_of(header.config);
+  const Vector& wanted = task.manipulation.opens_at;
+  if (!std::equal(opens_at.begin(), opens_at.end(), wanted.begin(), wanted.end()))
+    fail("belongs to another manipulation: manipulation.opens_at differs from the task's");
   for (const auto& e : examples) {
     if (e.failed()) continue;
     const Vector start = task.trajectory->initial_state(task.manipulation);

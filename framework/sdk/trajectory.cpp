@@ -1,5 +1,8 @@
 #include "weft/trajectory.hpp"
 
+#include <algorithm>
+#include <iterator>
+
 namespace weft {
 namespace {
 
@@ -75,6 +78,15 @@ Controls Trajectory::default_controls(Index horizon) const {
   return result;
 }
 
+std::vector<Index> Trajectory::holding(const Manipulation& manipulation, ConstVec state) const {
+  const Vector& opens_at = manipulation.opens_at;
+  const double reached = opens_at.size() > 0 ? progress(state) : 0.0;
+  std::vector<Index> hands;
+  for (Index hand = 0; hand < this->hands(); ++hand)
+    if (opens_at.size() == 0 || reached < opens_at[hand]) hands.push_back(hand);
+  return hands;
+}
+
 SegmentPath Trajectory::segment(const Manipulation& manipulation, ConstVec state, ConstVec control) const {
   SegmentPath path;
   path.end_state = state;
@@ -82,6 +94,9 @@ SegmentPath Trajectory::segment(const Manipulation& manipulation, ConstVec state
     path.end_state = advance(manipulation, path.end_state, control);
     path.targets.push_back(targets(manipulation, path.end_state));
   }
+  if (manipulation.opens_at.size() == 0 || released(path.end_state)) return path;
+  const auto before = holding(manipulation, state), after = holding(manipulation, path.end_state);
+  std::set_difference(before.begin(), before.end(), after.begin(), after.end(), std::back_inserter(path.opening));
   return path;
 }
 
@@ -138,6 +153,8 @@ void check_manipulation(const std::string& who, const Trajectory& trajectory, co
   require_shape(who + ": manipulation.grasp_points rows", manipulation.grasp_points.rows(), trajectory.hands());
   if (!manipulation.grasp_points.allFinite() || !manipulation.displacement.allFinite())
     throw ConfigError(who + ": grasp points and displacement of the manipulation must be finite");
+  if (manipulation.opens_at.size() > 0)
+    require_shape(who + ": manipulation.opens_at", manipulation.opens_at.size(), trajectory.hands());
 }
 
 void check_state(const std::string& who, const Trajectory& trajectory, ConstVec state) {

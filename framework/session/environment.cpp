@@ -6,6 +6,7 @@
 #include "simulation/simulator_warnings.hpp"
 #include "simulation/start_shape.hpp"
 #include "weft/config.hpp"
+#include "weft/hands.hpp"
 
 namespace weft {
 
@@ -21,6 +22,7 @@ SimulatorEnvironment::SimulatorEnvironment(std::shared_ptr<Simulator> simulator,
       material_(material),
       fabric_(task.material.at(material)),
       scene_(task.scene),
+      manipulation_(task.manipulation),
       settle_(task.settle),
       params_(params),
       seed_(seed) {
@@ -36,9 +38,10 @@ Observation SimulatorEnvironment::observe() {
 
 void SimulatorEnvironment::execute(const SegmentPath& path) {
   for (const auto& targets : path.targets) {
-    simulator_->step(targets);
+    move_hands(*simulator_, manipulation_, targets);
     record();
   }
+  open_hands(*simulator_, manipulation_, path.opening);
   max_grasp_strain_ = std::max(max_grasp_strain_, simulator_->diagnostics().max_grasp_strain);
 }
 

@@ -21,7 +21,7 @@ class Environment {
   virtual ~Environment() = default;
   /// Observes the cloth now. Sees at least one vertex. @throws Error.
   virtual Observation observe() = 0;
-  /// Moves the held vertices along the segment and returns at its end. @throws Error, Diverged.
+  /// Moves the held vertices along the segment, opens SegmentPath::opening at its end and returns. @throws Error, Diverged.
   virtual void execute(const SegmentPath& path) = 0;
   /// Releases the cloth and waits until it lies still. @throws Error, Diverged.
   virtual SettleResult release() = 0;
@@ -62,6 +62,7 @@ class SimulatorEnvironment final : public Environment {
   MaterialProperties material_;
   Fabric fabric_;
   Scene scene_;
+  Manipulation manipulation_;
   SettleCriterion settle_;
   ObservationParams params_;
   std::uint64_t seed_ = 0, observations_ = 0;

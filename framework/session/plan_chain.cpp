@@ -157,10 +157,9 @@ std::optional<CorrectionRecord> PlanChain::finish() {
 TwinState PlanChain::twin_at(const Work& work, const MaterialProperties& material) {
   if (track_.empty() || (track_.front().material - material).cwiseAbs().maxCoeff() > kSameMaterial)
     track_ = {twin_->start(material)};
-  const auto& held = twin_->task().manipulation.grasp_vertices;
   for (Index j = std::ssize(track_) - 1; j < work.executed.rows(); ++j) {
     TwinState after = twin_->advance(track_.back(), work.executed.row(j).transpose());
-    const Positions pulled = filter_.pulled(after.positions, *work.seen[j], held);
+    const Positions pulled = filter_.pulled(after.positions, *work.seen[j], twin_->task().held_at(after.state));
     if ((pulled - after.positions).cwiseAbs().maxCoeff() > kSameShape) {
       after.positions = pulled;
       after.snapshot = nullptr;

@@ -41,12 +41,18 @@ json rows_of(const auto& matrix) {
   return rows;
 }
 
+/// A process that does not know that hands open one by one would hold on, so such a task has a version of its own.
+int protocol_version(const Task& task) {
+  return task.manipulation.opens_at.size() > 0 ? ProcessEnvironment::kOpeningProtocolVersion
+                                               : ProcessEnvironment::kProtocolVersion;
+}
+
 /// The first request: all that the process must know about the task.
 json greeting(const Task& task) {
   const auto& garment = *task.garment;
   json hello{{"type", "hello"},
              {"protocol", kProtocol},
-             {"version", ProcessEnvironment::kProtocolVersion},
+             {"version", protocol_version(task)},
              {"garment",
               {{"name", garment.name},
                {"vertices", garment.vertex_count()},
@@ -170,13 +176,18 @@ class ProcessEnvironment::Link {
 };
 
 ProcessEnvironment::ProcessEnvironment(const ProcessOptions& options, const Task& task)
-    : options_(options), vertices_(task.garment->vertex_count()), link_(std::make_unique<Link>(options, vertices_)) {
+    : options_(options),
+      vertices_(task.garment->vertex_count()),
+      opens_early_(task.manipulation.opens_at.size() > 0),
+      link_(std::make_unique<Link>(options, vertices_)) {
   const json answer = link_->ask(greeting(task), "hello");
   if (link_->text(answer, "protocol") != kProtocol)
     link_->fail("speaks another protocol, " + excerpt(link_->text(answer, "protocol")));
-  if (!answer.contains("version") || answer["version"] != kProtocolVersion)
+  const int version = protocol_version(task);
+  if (!answer.contains("version") || answer["version"] != version)
     link_->fail("speaks version " + excerpt(answer.value("version", json()).dump()) +
-                " of the protocol, this weft speaks version " + std::to_string(kProtocolVersion));
+                " of the protocol, this weft speaks version " + std::to_string(version) +
+                (opens_early_ ? " where hands open one by one (manipulation.opens_at)" : ""));
 }
 ProcessEnvironment::~ProcessEnvironment() = default;
 
@@ -217,7 +228,9 @@ Observation ProcessEnvironment::observe() {
 void ProcessEnvironment::execute(const SegmentPath& path) {
   auto targets = json::array();
   for (const auto& points : path.targets) targets.push_back(rows_of(points));
-  link_->ask({{"type", "execute"}, {"targets_m", targets}}, "executed");
+  json request{{"type", "execute"}, {"targets_m", targets}};
+  if (opens_early_) request["opening"] = path.opening;
+  link_->ask(request, "executed");
 }
 
 SettleResult ProcessEnvironment::release() {

@@ -23,6 +23,7 @@ struct ProcessOptions {
 class ProcessEnvironment final : public Environment {
  public:
   static constexpr int kProtocolVersion = 1;
+  static constexpr int kOpeningProtocolVersion = 2;  ///< of tasks with Manipulation::opens_at
 
   /// Starts the process and sends it the first request. @throws ConfigError if the command cannot be run.
   /// Every function throws Error naming the command if the process ends, exceeds timeout_s, refuses, or breaks the
@@ -39,6 +40,7 @@ class ProcessEnvironment final : public Environment {
   class Link;
   ProcessOptions options_;
   Index vertices_ = 0;
+  bool opens_early_ = false;  ///< hands may open one by one
   std::unique_ptr<Link> link_;
 };
 

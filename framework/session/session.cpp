@@ -182,6 +182,10 @@ std::shared_ptr<Predictor> bound_predictor(const ConfigNode& slot, const Task& t
     host.log(LogLevel::warning,
              "the predictor does not know the task's obstacles (capability obstacles): it predicts what its examples "
              "were, and a plan is right only where the simulator corrects it (correction)");
+  if (task.manipulation.opens_at.size() > 0 && !predictor->capabilities().opening_hands)
+    host.log(LogLevel::warning,
+             "the predictor does not know that a hand opens before the others (manipulation.opens_at, capability "
+             "opening_hands): a plan is right only where the simulator corrects it (correction)");
   if (task.start && predictor->trainable() != nullptr)
     host.log(
         LogLevel::warning,
@@ -235,6 +239,7 @@ class SessionRun {
     result_.goal_controls = setup.goal.controls;
     result_.default_shape = setup.goal.default_shape;
     result_.surface = setup.goal.surface;
+    result_.opened_after.resize(trajectory_.hands());
     if (result_.goal.rows() > 0) goal_ = std::make_shared<const Positions>(result_.goal);
     result_.default_error_mm = goal_ ? mean_distance_mm(result_.default_shape, *goal_, result_.goal_counts) : kUnknown;
     if (result_.surface) result_.default_chamfer_mm = result_.surface->chamfer_mm(result_.default_shape);
@@ -358,6 +363,8 @@ class SessionRun {
     const SegmentPath path = trajectory_.segment(setup_.task.manipulation, state_, control);
     environment_.execute(path);
     for (const auto& targets : path.targets) hands_.add(targets);
+    hands_.open(path.opening);
+    for (const Index hand : path.opening) result_.opened_after[hand] = std::ssize(result_.rounds) + 1;
     hand_step_ = hands_.last_step();
     state_ = path.end_state;
     if (trajectory_.released(state_)) {

@@ -171,7 +171,10 @@ struct SessionResult {
   double simulate_seconds = 0.0;  ///< s in the environment's execute() and release()
   double cpu_seconds = 0.0;       ///< s of the whole session, without making its goal
   std::optional<double> max_grasp_strain;
-  HandMotion hands;                 ///< of the executed frames
+  HandMotion hands;  ///< of the executed frames
+  /// [G]: the number of segments after which each hand opened while others went on (Manipulation::opens_at); nullopt: it
+  /// held to the end.
+  std::vector<std::optional<Index>> opened_after;
   std::vector<TrialRecord> trials;  ///< all, this one too
   std::vector<TrialRecord> steps;   ///< of a sequence (run_sequence), this one too
   TrialRecord record() const;

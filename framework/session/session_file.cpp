@@ -173,14 +173,18 @@ void write_round(Hdf5File& file, const std::string& group, const SessionRound& r
     mean.insert(mean.end(), m.begin(), m.end());
     sigma.insert(sigma.end(), s.begin(), s.end());
   }
-  // Planned targets of the hands. With them a page can draw the plan without the trajectory plugin.
+  // Planned targets of the hands. With them a page can draw the plan without the trajectory plugin. The path of a hand ends
+  // where it opens.
   std::vector<float> targets;
+  Positions at = task.trajectory->targets(task.manipulation, round.state);
   Vector state = round.state;
   for (Index j = 0; j < round.plan.controls.rows(); ++j) {
     const SegmentPath segment =
         task.trajectory->segment(task.manipulation, state, round.plan.controls.row(j).transpose());
+    const auto holding = task.trajectory->holding(task.manipulation, state);
     for (const auto& points : segment.targets) {
-      const auto p = to_frame(points);
+      for (const Index hand : holding) at.row(hand) = points.row(hand);
+      const auto p = to_frame(at);
       targets.insert(targets.end(), p.begin(), p.end());
     }
     state = segment.end_state;
@@ -244,6 +248,11 @@ void read_goal_surface(const Reader& in, SessionRecord& record) {
   for (const auto corner : corners)
     if (corner < 0 || corner >= record.goal.rows()) in.fail("/goal_surface/faces", "names a point that does not exist");
   record.goal_faces = Eigen::Map<const WideFaces>(corners.data(), corners.size() / 3, 3).cast<int>();
+}
+
+/// Whether a hand opened before the others.
+bool opens_early(const SessionResult& result) {
+  return std::any_of(result.opened_after.begin(), result.opened_after.end(), [](const auto& after) { return !!after; });
 }
 
 /// JSON has no number for what is not finite.
@@ -387,6 +396,10 @@ std::string session_summary_json(const SessionResult& result) {
                       {"acceleration_m_per_s2", hands.acceleration},
                       {"distance_m", std::isfinite(hands.distance) ? ordered_json(hands.distance) : ordered_json()},
                       {"outside_m", hands.outside}};
+  if (opens_early(result)) {
+    auto& opened = summary["hands"]["opened_after"] = ordered_json::array();
+    for (const auto& after : result.opened_after) opened.push_back(after ? ordered_json(*after) : ordered_json());
+  }
   summary["knowledge"] = knowledge;
   if (!result.estimates.empty()) {
     const auto& last = result.estimates.back().knowledge;
@@ -437,6 +450,11 @@ void write_session(const std::filesystem::path& path, const SessionResult& resul
   const std::vector<std::int64_t> held(task.manipulation.grasp_vertices.begin(),
                                        task.manipulation.grasp_vertices.end());
   file.write("/garment/grasp_vertices", {static_cast<Index>(held.size())}, held.data());
+  if (opens_early(result)) {
+    std::vector<std::int64_t> opened;
+    for (const auto& after : result.opened_after) opened.push_back(after.value_or(std::ssize(result.rounds)));
+    file.write("/garment/opened_after", {std::ssize(opened)}, opened.data());
+  }
   file.write("/start", result.start);
   if (result.goal.rows() > 0)
     write_goal(file, result.goal, result.goal_counts);
@@ -496,6 +514,11 @@ SessionRecord read_session(const std::filesystem::path& path) {
     in.fail("/garment/frames", "must have the shape [faces, 2, 2]");
   const auto held = checked("/garment/grasp_vertices", in.integers("/garment/grasp_vertices"));
   record.grasp_vertices.assign(held.begin(), held.end());
+  if (in.has("/garment/opened_after")) {
+    for (const auto after : in.integers("/garment/opened_after")) record.opened_after.push_back(after);
+    if (record.opened_after.size() != held.size())
+      in.fail("/garment/opened_after", "must have one entry per grasp vertex");
+  }
   record.start = in.positions("/start", vertices);
   if (in.has("/goal")) {
     record.goal = in.positions("/goal", vertices);
@@ -517,6 +540,10 @@ SessionRecord read_session(const std::filesystem::path& path) {
         in.fail("/rounds/" + name, "has other controls or another state than the first round");
     }
   }
+  for (const Index after : record.opened_after)
+    if (after < 1 || after > record.segments())
+      in.fail("/garment/opened_after",
+              "holds " + std::to_string(after) + ", must be in [1, " + std::to_string(record.segments()) + "]");
   if (in.has("/estimates")) {
     const Controls centre = in.matrix("/estimates/centre", 4), width = in.matrix("/estimates/width", 4);
     if (centre.rows() != record.segments() || width.rows() != centre.rows())

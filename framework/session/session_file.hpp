@@ -20,15 +20,17 @@ struct Task;
 
 /// One round of a recorded session.
 struct RoundRecord {
-  Controls controls;               ///< [u, C]: the plan; its first row was executed
-  Vector state;                    ///< [S] before the segment
-  MaterialKnowledge knowledge;     ///< the plan's input
-  Positions observed;              ///< [V, 3] m, observed after the segment
-  Vector losses;                   ///< [instances], residual, mm^2
-  Controls curves;                 ///< [iterations, instances]: best loss so far; 0 rows if not recorded
-  std::vector<Positions> mean;     ///< [u] of [V, 3] m: the winner's prediction after every segment
-  std::vector<Positions> sigma;    ///< [u] of [V, 3] m; empty if only means were predicted
-  std::vector<Positions> targets;  ///< [12 u] of [G, 3] m: grasp points along the plan; empty in files without them
+  Controls controls;             ///< [u, C]: the plan; its first row was executed
+  Vector state;                  ///< [S] before the segment
+  MaterialKnowledge knowledge;   ///< the plan's input
+  Positions observed;            ///< [V, 3] m, observed after the segment
+  Vector losses;                 ///< [instances], residual, mm^2
+  Controls curves;               ///< [iterations, instances]: best loss so far; 0 rows if not recorded
+  std::vector<Positions> mean;   ///< [u] of [V, 3] m: the winner's prediction after every segment
+  std::vector<Positions> sigma;  ///< [u] of [V, 3] m; empty if only means were predicted
+  /// [12 u] of [G, 3] m: grasp points along the plan, those of a hand that has opened where it opened; empty in files
+  /// without them.
+  std::vector<Positions> targets;
 };
 
 /// The contents of session.h5. Pages, exports and later analyses need nothing else, and no plugin.
@@ -40,6 +42,7 @@ struct SessionRecord {
   RestPositions rest;
   GarmentForm form;  ///< of schema 2; empty for garments of one chart and one layer
   std::vector<Index> grasp_vertices;
+  std::vector<Index> opened_after;              ///< [G] segments after which each hand opened; empty: all at the end
   std::vector<Obstacle> obstacles;              ///< those of `config`
   Positions start, default_shape, final_shape;  ///< [V, 3] m
   bool has_correspondence = true;               ///< whether the goal's vertices are the garment's
@@ -66,6 +69,8 @@ struct SessionRecord {
   Index segments() const { return rounds.size(); }
   /// First frame of segment j = 0, 1, ...; for j = segments() the frame of the release.
   Index segment_frame(Index j) const { return j * kFramesPerSegment; }
+  /// The last frame in which a hand holds its vertex.
+  Index held_until(Index hand) const { return segment_frame(opened_after.empty() ? segments() : opened_after[hand]); }
   Index settle_frames() const { return std::ssize(frames) - 1 - segment_frame(segments()); }
   bool released() const { return settle_frames() > 0; }
   /// [V, 3] m, the shape after segment j = 0, 1, ...; settled if it was the last.

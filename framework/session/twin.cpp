@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "simulation/start_shape.hpp"
+#include "weft/hands.hpp"
 
 namespace weft {
 
@@ -61,7 +62,7 @@ void Twin::place(Lease& lease, const TwinState& from) const {
   if (from.snapshot)
     lease->restore(*from.snapshot);
   else
-    lease->set_state(from.positions, from.velocities, task_.manipulation.grasp_vertices);
+    lease->set_state(from.positions, from.velocities, task_.held_at(from.state));
 }
 
 TwinState Twin::start(const MaterialProperties& material) const {
@@ -80,7 +81,8 @@ TwinState Twin::advance(const TwinState& from, ConstVec control) const {
   TwinState after = from;
   const SegmentPath path = task_.trajectory->segment(task_.manipulation, from.state, control);
   try {
-    for (const auto& targets : path.targets) lease->step(targets);
+    for (const auto& targets : path.targets) move_hands(*lease, task_.manipulation, targets);
+    open_hands(*lease, task_.manipulation, path.opening);
   } catch (const Diverged&) {
     lease.spoil();
     throw;

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "simulation/start_shape.hpp"
+#include "weft/hands.hpp"
 
 namespace weft {
 
@@ -35,7 +36,7 @@ void continue_fold(Simulator& simulator, const Task& task, Vector state, const C
     const SegmentPath path = task.trajectory->segment(task.manipulation, state, controls.row(executed).transpose());
     for (const auto& targets : path.targets) {
       require_not_cancelled(cancelled);
-      simulator.step(targets);
+      move_hands(simulator, task.manipulation, targets);
     }
     state = path.end_state;
     result.max_grasp_strain = std::max(result.max_grasp_strain, simulator.diagnostics().max_grasp_strain);
@@ -43,6 +44,8 @@ void continue_fold(Simulator& simulator, const Task& task, Vector state, const C
     if (result.released) {
       simulator.release();
       result.settle = settle(simulator, task.settle, cancelled);
+    } else {
+      open_hands(simulator, task.manipulation, path.opening);
     }
     result.shapes.push_back(simulator.positions());
     result.states.row(before + executed) = state.transpose();

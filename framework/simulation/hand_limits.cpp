@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numeric>
 
 namespace weft {
 namespace {
@@ -15,7 +16,21 @@ constexpr double kPenaltyUnit = 0.01;  // m
 constexpr Index kMostParts = 1000;
 constexpr Index kMostIterations = 8;
 
-double largest_norm(const Positions& vectors) { return vectors.rowwise().norm().maxCoeff(); }
+/// Hands, ascending.
+using HandList = std::vector<Index>;
+
+HandList all_hands(Index count) {
+  HandList hands(count);
+  std::iota(hands.begin(), hands.end(), Index{0});
+  return hands;
+}
+
+/// Of the rows of these hands.
+double largest_norm(const Positions& vectors, const HandList& hands) {
+  double largest = 0.0;
+  for (const Index hand : hands) largest = std::max(largest, vectors.row(hand).norm());
+  return largest;
+}
 
 /// Speed and acceleration limits, m per frame and m per frame^2.
 double step_limit(const HandLimits& hands) { return hands.speed * kFrameSeconds * (1.0 + kRounding); }
@@ -24,22 +39,23 @@ double change_limit(const HandLimits& hands) {
 }
 
 /// By how much targets leave the box, or the hands come too close, m; 0 where they do not: [7 G] entries.
-Vector place_excess(const HandLimits& hands, const Positions& targets, double clear) {
-  const Index count = targets.rows();
-  Vector excess = Vector::Zero(7 * count);
-  for (Index g = 0; g < count; ++g) {
+/// @param closed the hands that hold: only they count.
+Vector place_excess(const HandLimits& hands, const Positions& targets, const HandList& closed, double clear) {
+  Vector excess = Vector::Zero(7 * targets.rows());
+  for (const Index g : closed) {
     const Vec3 target = targets.row(g).transpose();
     excess.segment<3>(7 * g) = (hands.lower - target).array() + clear;
     excess.segment<3>(7 * g + 3) = (target - hands.upper).array() + clear;
-    for (Index other = g + 1; other < count && hands.distance > 0.0; ++other)
-      excess(7 * g + 6) =
-          std::max(excess(7 * g + 6), hands.distance + clear - (targets.row(g) - targets.row(other)).norm());
+    for (const Index other : closed)
+      if (other > g && hands.distance > 0.0)
+        excess(7 * g + 6) =
+            std::max(excess(7 * g + 6), hands.distance + clear - (targets.row(g) - targets.row(other)).norm());
   }
   return excess.cwiseMax(0.0);
 }
 
 /// Its gradient with respect to one entry that is above 0, [G, 3].
-Positions place_gradient(const Positions& targets, Index entry) {
+Positions place_gradient(const Positions& targets, const HandList& closed, Index entry) {
   Positions gradient = Positions::Zero(targets.rows(), 3);
   const Index g = entry / 7, kind = entry % 7;
   if (kind < 3) {
@@ -47,9 +63,10 @@ Positions place_gradient(const Positions& targets, Index entry) {
   } else if (kind < 6) {
     gradient(g, kind - 3) = 1.0;
   } else {
-    Index nearest = g + 1;
-    for (Index other = g + 2; other < targets.rows(); ++other)
-      if ((targets.row(g) - targets.row(other)).norm() < (targets.row(g) - targets.row(nearest)).norm())
+    Index nearest = g;
+    for (const Index other : closed)
+      if (other > g && (nearest == g ||
+                        (targets.row(g) - targets.row(other)).norm() < (targets.row(g) - targets.row(nearest)).norm()))
         nearest = other;
     const Eigen::RowVector3d away = (targets.row(g) - targets.row(nearest)).normalized();
     gradient.row(g) = -away;
@@ -61,6 +78,7 @@ Positions place_gradient(const Positions& targets, Index entry) {
 /// A row of controls as its hands move, divided into so many parts.
 struct RowMotion {
   Positions first, last;            // [G, 3] m per frame
+  HandList closed;                  // those that hold; they alone count
   double step = 0.0, change = 0.0;  // largest, within the row
 };
 
@@ -113,8 +131,10 @@ class Limiter {
   Vector excess(const Vector& state, const Vector& control, double clear) const {
     const auto path = targets(state, control);
     const Index each = 7 * trajectory_.hands();
+    const HandList closed = trajectory_.holding(task_.manipulation, state);
     Vector all(each * std::ssize(path));
-    for (Index t = 0; t < std::ssize(path); ++t) all.segment(each * t, each) = place_excess(hands_, path[t], clear);
+    for (Index t = 0; t < std::ssize(path); ++t)
+      all.segment(each * t, each) = place_excess(hands_, path[t], closed, clear);
     return all;
   }
 
@@ -156,6 +176,7 @@ class Limiter {
 
   RowMotion motion(const Vector& state, const Vector& control, Index parts) const {
     RowMotion motion;
+    motion.closed = trajectory_.holding(task_.manipulation, state);
     const Vector part = control / static_cast<double>(parts);
     Vector current = state;
     Positions at = trajectory_.targets(task_.manipulation, state), step;
@@ -166,8 +187,8 @@ class Limiter {
       if (frame == 0)
         motion.first = moved;
       else
-        motion.change = std::max(motion.change, largest_norm(moved - step));
-      motion.step = std::max(motion.step, largest_norm(moved));
+        motion.change = std::max(motion.change, largest_norm(moved - step, motion.closed));
+      motion.step = std::max(motion.step, largest_norm(moved, motion.closed));
       step = moved;
       at = next;
     }
@@ -191,14 +212,17 @@ class Limiter {
       }
     };
     for (Index j = 0; j < rows.rows(); ++j) divide(j, 1);
-    const auto jump = [&](Index j) { return largest_norm(motions[j].first - (j == 0 ? step_ : motions[j - 1].last)); };
+    const auto jump = [&](Index j) {
+      return largest_norm(motions[j].first - (j == 0 ? step_ : motions[j - 1].last), motions[j].closed);
+    };
     for (Index j = 0; j < rows.rows();) {
       if (jump(j) <= change) {
         ++j;
         continue;
       }
       // The faster one goes more slowly; that may make the change before it too large.
-      const double here = largest_norm(motions[j].first), there = largest_norm(j == 0 ? step_ : motions[j - 1].last);
+      const double here = largest_norm(motions[j].first, motions[j].closed);
+      const double there = largest_norm(j == 0 ? step_ : motions[j - 1].last, motions[j].closed);
       const bool is_later = j == 0 || here >= there;
       const Index slowed = is_later ? j : j - 1;
       if (parts[slowed] == kMostParts || (j == 0 && here < there)) {
@@ -220,24 +244,32 @@ class Limiter {
 }  // namespace
 
 HandMotionMeter::HandMotionMeter(const HandLimits& limits, const Positions& start, const Positions& step)
-    : limits_(limits), at_(start), step_(step.rows() > 0 ? step : Positions(Positions::Zero(start.rows(), 3))) {
+    : limits_(limits),
+      at_(start),
+      step_(step.rows() > 0 ? step : Positions(Positions::Zero(start.rows(), 3))),
+      closed_(all_hands(start.rows())) {
   place(start);
 }
 
+void HandMotionMeter::open(const std::vector<Index>& hands) {
+  for (const Index hand : hands) std::erase(closed_, hand);
+}
+
 void HandMotionMeter::place(const Positions& targets) {
-  for (Index g = 0; g < targets.rows(); ++g) {
+  for (const Index g : closed_) {
     const Vec3 target = targets.row(g).transpose();
     motion_.outside =
         std::max({motion_.outside, (limits_.lower - target).maxCoeff(), (target - limits_.upper).maxCoeff()});
-    for (Index other = g + 1; other < targets.rows(); ++other)
-      motion_.distance = std::min(motion_.distance, (targets.row(g) - targets.row(other)).norm());
+    for (const Index other : closed_)
+      if (other > g) motion_.distance = std::min(motion_.distance, (targets.row(g) - targets.row(other)).norm());
   }
 }
 
 void HandMotionMeter::add(const Positions& targets) {
   const Positions step = targets - at_;
-  motion_.speed = std::max(motion_.speed, largest_norm(step) / kFrameSeconds);
-  motion_.acceleration = std::max(motion_.acceleration, largest_norm(step - step_) / (kFrameSeconds * kFrameSeconds));
+  motion_.speed = std::max(motion_.speed, largest_norm(step, closed_) / kFrameSeconds);
+  motion_.acceleration =
+      std::max(motion_.acceleration, largest_norm(step - step_, closed_) / (kFrameSeconds * kFrameSeconds));
   place(targets);
   at_ = targets;
   step_ = step;
@@ -273,6 +305,7 @@ Vector limit_residuals(const Task& task, ConstVec state, const Positions& step, 
   const auto moved = [&](Index t) -> Positions { return t == 0 ? rest : Positions(targets[t] - targets[t - 1]); };
 
   for (Index j = 0; j < u; ++j) {
+    const HandList closed = trajectory.holding(task.manipulation, states.col(j * kFramesPerSegment));
     std::array<double, 4> squares{};
     // 1/2 d squares / d targets, of the frames up to the segment's last.
     std::array<std::vector<Positions>, 4> cotangents;
@@ -288,7 +321,7 @@ Vector limit_residuals(const Task& task, ConstVec state, const Positions& step, 
         if (t >= 0) cotangents[kind][t].row(g) += factor * direction.transpose();
     };
     for (Index t = j * kFramesPerSegment + 1; t <= (j + 1) * kFramesPerSegment; ++t) {
-      for (Index g = 0; g < count; ++g) {
+      for (const Index g : closed) {
         if (hands.speed < HandLimits::kNone)
           add_vector(0, g, moved(t).row(g).transpose(), hands.speed * kFrameSeconds, {{t, 1.0}, {t - 1, -1.0}});
         if (hands.acceleration < HandLimits::kNone)
@@ -296,13 +329,13 @@ Vector limit_residuals(const Task& task, ConstVec state, const Positions& step, 
                      hands.acceleration * kFrameSeconds * kFrameSeconds,
                      {{t, 1.0}, {t - 1, t == 1 ? -1.0 : -2.0}, {t - 2, 1.0}});
       }
-      const Vector outside = place_excess(hands, targets[t], 0.0);
+      const Vector outside = place_excess(hands, targets[t], closed, 0.0);
       for (Index i = 0; i < outside.size(); ++i) {
         if (!(outside(i) > 0.0)) continue;
         const int kind = i % 7 == 6 ? 2 : 3;
         const double excess = outside(i) / kPenaltyUnit;
         squares[kind] += excess * excess;
-        if (gradients) cotangents[kind][t] += excess / kPenaltyUnit * place_gradient(targets[t], i);
+        if (gradients) cotangents[kind][t] += excess / kPenaltyUnit * place_gradient(targets[t], closed, i);
       }
     }
     for (int kind = 0; kind < 4; ++kind) {

@@ -22,6 +22,8 @@ class HandMotionMeter {
   HandMotionMeter(const HandLimits& limits, const Positions& start, const Positions& step);
   /// @param targets [G, 3] m after the next frame.
   void add(const Positions& targets);
+  /// These hands have opened: where they are no longer counts.
+  void open(const std::vector<Index>& hands);
   const HandMotion& motion() const { return motion_; }
   const Positions& last_step() const { return step_; }  ///< [G, 3] m
 
@@ -29,6 +31,7 @@ class HandMotionMeter {
   void place(const Positions& targets);
   const HandLimits& limits_;
   Positions at_, step_;
+  std::vector<Index> closed_;  // hands that hold
   HandMotion motion_;
 };
 
@@ -44,18 +47,18 @@ struct LimitedControls {
   bool kept = true;
 };
 
-/// Makes controls keep Task::hands on every frame until the release. A row that would leave the workspace, or bring the hands
-/// too close, is replaced by the nearest one that does not (in units of the controls' scales; by its beginning if there is
-/// none). A row that is too fast, or too fast after the one before, is divided into equal parts, so that the hands take
-/// their way more slowly: a control is a change per frame, and the state adds them up. The rows after the release, and those
-/// that no longer fit into the horizon, are dropped or moved.
+/// Makes controls keep Task::hands on every frame until the release; a hand that has opened before has no limits. A row that
+/// would leave the workspace, or bring the hands too close, is replaced by the nearest one that does not (in units of the
+/// controls' scales; by its beginning if there is none). A row that is too fast, or too fast after the one before, is divided
+/// into equal parts, so that the hands take their way more slowly: a control is a change per frame, and the state adds them
+/// up. The rows after the release, and those that no longer fit into the horizon, are dropped or moved.
 /// @param state [S]; @param step [G, 3] m: how far the hands moved in the frame before, 0 rows: they are at rest.
 /// @param controls [horizon, C].
 LimitedControls within_limits(const Task& task, ConstVec state, const Positions& step, const Controls& controls);
 
 /// The penalty of planning for controls that exceed the limits: four residuals a segment, of speed, acceleration, distance
 /// and place. Each is the root of the mean of squares over its frames and hands of what exceeds, relative to the limit; of
-/// distance and place per 10 mm.
+/// distance and place per 10 mm. A hand that has opened exceeds nothing.
 /// @param controls [k, C]; the rows after `u` do not count. @param gradients null, or set to those of the residuals with
 /// respect to the controls, an empty one where the residual is 0.
 /// @return [4 k].

@@ -1,5 +1,6 @@
 #include "simulation/task_config.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "simulation/hand_limits.hpp"
@@ -38,6 +39,31 @@ HandLimits read_limits(const TaskParams::Hands::Limits& params, const ConfigNode
   return limits;
 }
 
+/// The vertices that the hands take.
+std::vector<Index> grasped_vertices(const std::vector<std::string>& grasp, const ConfigNode& origin,
+                                    const Garment& garment) {
+  std::vector<Index> vertices;
+  for (std::size_t i = 0; i < grasp.size(); ++i) {
+    const ConfigNode key = place(origin, "manipulation.grasp." + std::to_string(i));
+    const Index vertex = blaming(key, [&] { return garment.vertex(grasp[i]); });
+    if (std::find(vertices.begin(), vertices.end(), vertex) != vertices.end())
+      key.fail("= " + grasp[i] + " is vertex " + std::to_string(vertex) + ", which another hand holds already");
+    vertices.push_back(vertex);
+  }
+  return vertices;
+}
+
+/// Manipulation::opens_at, of so many hands.
+Vector opening(const std::vector<double>& opens_at, const ConfigNode& origin, Index hands) {
+  if (opens_at.empty()) return {};
+  const auto at_the_end = std::count(opens_at.begin(), opens_at.end(), 1.0);
+  if (std::ssize(opens_at) != hands || at_the_end == 0)
+    must_be(place(origin, "manipulation.opens_at"),
+            "one number for each of the hands (" + std::to_string(hands) + "), at least one of which is 1");
+  if (at_the_end == hands) return {};
+  return Eigen::Map<const Vector>(opens_at.data(), std::ssize(opens_at));
+}
+
 }  // namespace
 
 Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
@@ -67,22 +93,21 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
             hands == "1" ? "1 named vertex: the trajectory drives 1 hand"
                          : hands + " named vertices: the trajectory drives " + hands + " hands");
   }
+  // All fabrics share one path, so the targets must clear the ground with the thickest one.
+  const auto& thickness = task.material.ranges[3];
+  const double thickest = std::max(thickness.low, thickness.high);
+  manipulation.grasp_vertices = grasped_vertices(params.manipulation.grasp, origin, *task.garment);
+  manipulation.opens_at = opening(params.manipulation.opens_at, origin, task.trajectory->hands());
   manipulation.grasp_points.resize(task.trajectory->hands(), 3);
-  for (std::size_t i = 0; i < params.manipulation.grasp.size(); ++i) {
-    manipulation.grasp_vertices.push_back(blaming(place(origin, "manipulation.grasp." + std::to_string(i)),
-                                                  [&] { return task.garment->vertex(params.manipulation.grasp[i]); }));
-    const Positions& shape = task.start ? task.start->shape : task.garment->positions;
-    manipulation.grasp_points.row(i) = shape.row(manipulation.grasp_vertices.back());
-  }
+  const Positions& shape = task.start ? task.start->shape : task.garment->positions;
+  for (Index hand = 0; hand < task.trajectory->hands(); ++hand)
+    manipulation.grasp_points.row(hand) = shape.row(manipulation.grasp_vertices[hand]);
   const ConfigNode displacement = place(origin, "manipulation.displacement_m");
   const std::string remedy = "; its direction is that of the fold, and `weft displacement` tunes its length";
   if (params.manipulation.displacement_m.empty()) must_be(displacement, "a list of 2 numbers, m" + remedy);
   require_shape("task: displacement", params.manipulation.displacement_m.size(), 2);
   manipulation.displacement = Eigen::Map<const Eigen::Vector2d>(params.manipulation.displacement_m.data());
   manipulation.drop_height = params.manipulation.drop_height_m;
-  // All fabrics share one path, so the targets must clear the ground with the thickest one.
-  const auto& thickness = task.material.ranges[3];
-  const double thickest = std::max(thickness.low, thickness.high);
   manipulation.contact_height = task.scene.ground_height.value_or(0.0) + thickest;
   if (task.start) {
     manipulation.contact_height = std::max(manipulation.contact_height, manipulation.grasp_points.col(2).maxCoeff());

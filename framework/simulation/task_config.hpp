@@ -21,7 +21,7 @@ struct TaskParams {
   ConfigNode trajectory = ConfigNode::parse("{plugin: arc}", "default");
   struct Hands {
     std::vector<std::string> grasp = {"left_sleeve_top", "left_body_bottom"};
-    std::vector<double> displacement_m;
+    std::vector<double> displacement_m, opens_at;
     double drop_height_m = 0.05;
     struct Limits {
       double speed_m_per_s = 0.0, acceleration_m_per_s2 = 0.0, distance_m = 0.0;
@@ -38,11 +38,14 @@ struct TaskParams {
     } limits;
     template <class Visitor>
     void visit(Visitor& v) {
-      v("grasp", grasp, "Names of the two held vertices: the paper's g_0.");
+      v("grasp", grasp, "Names of the held vertices, one for each hand: the paper's g_0.");
       v("displacement_m", displacement_m, range(-10, 10, "m"),
         "d: displacement of the grasp points' midpoint; `weft displacement` tunes its length.", Length{2, "x, y"});
       v("drop_height_m", drop_height_m, range(0, 1, "m"),
         "h: height of the grasp points above contact at 180 degrees.");
+      v("opens_at", opens_at, range(0.01, 1),
+        "Share of the path (the trajectory's progress) at which each hand opens, at the end of that segment, while the "
+        "others go on; 1: at the release, which at least one hand has. Default: all at the release.");
       v.group("limits", limits,
               "What the hands can do. Plans are penalised for more, and what still exceeds is slowed or moved.");
     }

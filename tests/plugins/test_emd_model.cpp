@@ -29,6 +29,16 @@ TEST(EmdPredictor, NeedsAModelAndRefusesOneOfAnotherTask) {
   other.manipulation.drop_height = 0.06;
   EXPECT_THAT(refusal(other), HasSubstr("drop height"));
   other = task;
+  other.manipulation.opens_at = Vector(Eigen::Vector2d(0.5, 1.0));
+  EXPECT_THAT(refusal(other),
+              HasSubstr("hands that open at the progress [], all at the release, the task has [0.500000"));
+  params.model = folder / "opening.h5";
+  save_model(params.model, untrained_model(small(), other, 1), true);
+  EXPECT_THAT(refusal(task), HasSubstr("the task has [], all at the release"));
+  EmdPredictor trained_for_it(params, host);
+  trained_for_it.bind(other);
+  params.model = folder / "m.h5";
+  other = task;
   other.manipulation.grasp_vertices[0] = 1;
   EXPECT_THAT(refusal(other), HasSubstr("grasp vertices"));
   other = task;

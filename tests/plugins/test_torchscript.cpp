@@ -445,6 +445,8 @@ TEST_F(TorchScript, RefusesOtherTasksAndDamage) {
               HasSubstr("garment_hash = 12345, the task has " + std::to_string(task_.garment->hash)));
   write_metadata("drop_height_m: 0.07\n");
   EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("drop_height_m = 0.07"));
+  write_metadata("opens_at: [0.5, 1]\n");
+  EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("opens_at = [0.5, 1], the task has []"));
   write_metadata("previous: true\n");
   EXPECT_THAT(message_of<ConfigError>([&] { bound(); }), HasSubstr("takes 4 arguments, must take 5"));
   write_metadata();

@@ -216,6 +216,22 @@ TEST_F(Process, SaysWhatIsSeenAndHowWell) {
   EXPECT_NEAR(seen_distance_mm(seen, shape), 1000.0 * far / static_cast<double>(shape.rows() - 1), 1e-9);
 }
 
+TEST_F(Process, IsToldWhichHandsOpenInAVersionOfItsOwn) {
+  task_.manipulation.opens_at = Vector(Eigen::Vector2d(0.5, 1.0));
+  const auto child = start(
+      "    elif kind == 'execute':\n"
+      "        answer('executed', warning=json.dumps(request['opening']))\n",
+      20.0, "2");
+  SegmentPath path;
+  path.targets.assign(kFramesPerSegment, task_.manipulation.grasp_points);
+  child->execute(path);
+  path.opening = {0};
+  child->execute(path);
+  EXPECT_EQ(child->warnings(), (std::vector<std::string>{"[]", "[0]"}));
+  EXPECT_THAT(test::message_of<Error>([&] { start(""); }),
+              HasSubstr("speaks version '1' of the protocol, this weft speaks version 2 where hands open one by one"));
+}
+
 TEST_F(Process, EveryFailureHasItsOwnMessage) {
   const std::string n = std::to_string(task_.garment->vertex_count());
   const std::pair<std::string, std::string> cases[] = {

@@ -640,6 +640,12 @@ TEST(Dataset, ExamplesOfAnotherTaskAreRefusedWithTheReason) {
   Task other = toy_task();
   other.manipulation.grasp_points(0, 0) += 0.01;
   EXPECT_THAT(message_of<ConfigError>([&] { data.require_task(other); }), HasSubstr("another manipulation"));
+  other = toy_task();
+  other.manipulation.opens_at = Vector(Eigen::Vector2d(0.5, 1.0));
+  EXPECT_THAT(message_of<ConfigError>([&] { data.require_task(other); }), HasSubstr("manipulation.opens_at differs"));
+  Dataset opening = data;
+  opening.header.config = "manipulation: {opens_at: [0.5, 1]}\n";
+  opening.require_task(other);
   auto garment = std::make_shared<Garment>(*toy_task().garment);
   garment->hash ^= 1;
   other = toy_task();

@@ -9,7 +9,7 @@ export interface ArrayRef {
 }
 export interface Knowledge { centre: number[]; width: number[] }
 export interface Variable { name: string; unit: string }
-export interface Garment { name: string; vertices: number; faces: ArrayRef; held?: number[] }
+export interface Garment { name: string; vertices: number; faces: ArrayRef; held?: number[]; held_until?: number[] }
 export interface Provenance {
   weft?: string; commit?: string; seed?: number; threads?: number;
   plugins?: { kind: string; name: string; version: string }[];

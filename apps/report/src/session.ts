@@ -37,6 +37,10 @@ export function sessionPage(page: PageData): HTMLElement {
   const endError = summary.error_mm ?? summary.chamfer_mm ?? 0, defaultError = summary.default_error_mm ?? summary.default_chamfer_mm ?? 0;
   const last = frames.count - 1, release = session.release_frame;
 
+  const held = garment.held ?? [];
+  /** The last frame in which each hand holds the cloth. */
+  const heldUntil = garment.held_until ?? held.map(() => release);
+
   /** The segment a frame belongs to, counted from 1; 0 at the start. */
   const segmentOf = (frame: number) => Math.min(Math.ceil(frame / perSegment - 1e-9), rounds.length);
   /** The frame at which a segment has ended; the last one settled. */
@@ -45,7 +49,8 @@ export function sessionPage(page: PageData): HTMLElement {
   const after = (segment: number) => frames.at(frameAfter(segment));
   const describe = (frame: number) => {
     if (frame > release) return `${frame < last ? 'released, settling' : summary.settled === false ? 'end, still moving' : 'settled'} · ${seconds(frame, session.frame_seconds)}, ${seconds(frame - release, session.frame_seconds)} after release`;
-    return `frame ${frame} · segment ${segmentOf(frame)} of ${rounds.length} · ${seconds(frame, session.frame_seconds)}`;
+    const open = heldUntil.filter((until) => frame > until).length;
+    return `frame ${frame} · segment ${segmentOf(frame)} of ${rounds.length} · ${seconds(frame, session.frame_seconds)}${open > 0 ? ` · ${open} of ${hands} hands open` : ''}`;
   };
 
   // What is chosen.
@@ -105,11 +110,10 @@ export function sessionPage(page: PageData): HTMLElement {
   };
 
   // Paths of the hands.
-  const held = garment.held ?? [];
-  const executedPaths = held.map((vertex) => {
+  const executedPaths = held.map((vertex, hand) => {
     const points = new Float32Array(3 * frames.count);
     for (let f = 0; f < frames.count; ++f) points.set(frames.at(f).subarray(3 * vertex, 3 * vertex + 3), 3 * f);
-    return points.subarray(0, 3 * (release + 1));
+    return points.subarray(0, 3 * (heldUntil[hand] + 1));
   });
   const planned = new Map<number, Float32Array[]>();
   const plannedPaths = (r: number) => {
@@ -117,11 +121,12 @@ export function sessionPage(page: PageData): HTMLElement {
       const targets = decode(rounds[r].targets);
       const count = rounds[r].targets.shape[0];
       const start = frames.at(r * perSegment);
-      planned.set(r, count === 0 ? [] : held.map((vertex, hand) => {
+      planned.set(r, count === 0 ? [] : held.flatMap((vertex, hand) => {
+        if (heldUntil[hand] <= r * perSegment) return [];  // it opened before
         const points = new Float32Array(3 * (count + 1));
         points.set(start.subarray(3 * vertex, 3 * vertex + 3));
         for (let i = 0; i < count; ++i) points.set(targets.subarray(3 * (i * hands + hand), 3 * (i * hands + hand) + 3), 3 * (i + 1));
-        return points;
+        return [points];
       }));
     }
     return planned.get(r)!;
@@ -160,10 +165,10 @@ export function sessionPage(page: PageData): HTMLElement {
       viewer.setColours(distancesMm(sigmas[round].at(step), new Float32Array(current.length), values), range.sigma);
     } else viewer.setColours(null, 1);
 
-    const done = position > release;
-    const points = new Float32Array(3 * hands);
-    held.forEach((vertex, hand) => points.set(current.subarray(3 * vertex, 3 * vertex + 3), 3 * hand));
-    viewer.setHands(layers.executed.input.checked && !done && !layers.fallback.input.checked ? points : null);
+    const closed = held.filter((_, hand) => position <= heldUntil[hand]);
+    const points = new Float32Array(3 * closed.length);
+    closed.forEach((vertex, i) => points.set(current.subarray(3 * vertex, 3 * vertex + 3), 3 * i));
+    viewer.setHands(layers.executed.input.checked && closed.length > 0 && !layers.fallback.input.checked ? points : null);
     viewer.limitLines('executed', layers.executed.input.checked ? Math.round(position) : 0);
     for (const one of timeCharts) one.mark(Math.min(position / perSegment, rounds.length));
     for (const one of knowledgeCharts) one.mark(Math.min(position / perSegment, known.length - 1));

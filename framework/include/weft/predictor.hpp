@@ -107,13 +107,15 @@ struct PredictorCapabilities {
   bool deterministic = true;  ///< the same case gives the same bits in every batch
   bool needs_binding = true;  ///< bind() must come before predict()
   bool obstacles = false;     ///< Scene::obstacles of the task take part; else the session warns
+  /// Manipulation::opens_at takes part, or bind() refuses a task that it was not trained for; else the session warns.
+  bool opening_hands = false;
 };
 
 /// Predicts shapes from a start shape, controls and material knowledge (section 2.3). Thread-safe after bind().
 class WEFT_API Predictor {
  public:
   static constexpr const char* kKind = "predictor";
-  static constexpr int kVersion = 10;  // bump on any change to this class, the types above or trainable.hpp
+  static constexpr int kVersion = 11;  // bump on any change to this class, the types above or trainable.hpp
   static constexpr TypeSize kCrossing[] = {{"Task", sizeof(Task)},
                                            {"PredictionCase", sizeof(PredictionCase)},
                                            {"PredictionRequest", sizeof(PredictionRequest)},

@@ -5,6 +5,7 @@
 
 #include "weft/config.hpp"
 #include "weft/garment.hpp"
+#include "weft/hands.hpp"
 #include "weft/material.hpp"
 #include "weft/simulator.hpp"
 #include "weft/trajectory.hpp"
@@ -43,6 +44,11 @@ struct Task {
   Scene scene;
   SettleCriterion settle;
   ConfigNode simulator;  ///< {plugin, params} of the session's simulator, for predictors that simulate
+
+  /// The vertices that are held in a segment that starts at this state [S] of the hands.
+  std::vector<Index> held_at(ConstVec state) const {
+    return vertices_of(manipulation, trajectory->holding(manipulation, state));
+  }
 };
 
 }  // namespace weft

@@ -20,8 +20,10 @@ struct Variable {
 
 /// Positions of the grasp points over one segment and the state after it.
 struct SegmentPath {
-  std::vector<Positions> targets;  ///< [kFramesPerSegment] of [G, 3] m, after each frame
-  Vector end_state;                ///< [S]
+  std::vector<Positions>
+      targets;                 ///< [kFramesPerSegment] of [G, 3] m, after each frame; of an open hand without effect
+  std::vector<Index> opening;  ///< hands that open at its end while others go on (Manipulation::opens_at); ascending
+  Vector end_state;            ///< [S]
 };
 
 /// Maps controls to gripper paths (section 2.1). Stateless and immutable: safe to call from many threads.
@@ -35,7 +37,7 @@ struct SegmentPath {
 class WEFT_API Trajectory {
  public:
   static constexpr const char* kKind = "trajectory";
-  static constexpr int kVersion = 2;  // bump on any change to this class
+  static constexpr int kVersion = 3;  // bump on any change to this class
   static constexpr TypeSize kCrossing[] = {{"Variable", sizeof(Variable)},         {"SegmentPath", sizeof(SegmentPath)},
                                            {"Manipulation", sizeof(Manipulation)}, {"Box", sizeof(Box)},
                                            {"Controls", sizeof(Controls)},         {"ConstVec", sizeof(ConstVec)}};
@@ -80,6 +82,9 @@ class WEFT_API Trajectory {
   virtual Vector decision_scale(Index horizon) const;  ///< > 0, as Variable::scale
 
   // The functions below are the same for every trajectory.
+  /// The hands that hold the cloth in a segment that starts at `state`, ascending: those whose Manipulation::opens_at is
+  /// above progress(). A hand that has opened stays open, so this is right where progress() does not fall.
+  std::vector<Index> holding(const Manipulation& manipulation, ConstVec state) const;
   /// The default trajectory (section 4): the default control on every segment.
   Controls default_controls(Index horizon) const;
   SegmentPath segment(const Manipulation& manipulation, ConstVec state, ConstVec control) const;

@@ -56,6 +56,9 @@ struct Manipulation {
   Vec2 displacement = Vec2::Zero();   ///< d, m, XY: displacement of the grasp points' midpoint
   double drop_height = 0.05;          ///< h, m: height of the grasp points at theta = 180 deg
   double contact_height = 0.0;        ///< m: the targets stay above it (mid-surface resting on the ground)
+  /// [G] in (0, 1]: the progress at which each hand opens, at the end of that segment, while the others go on; 1: at the
+  /// release. Empty: all of them at the release. At least one hand has 1.
+  Vector opens_at;
 };
 
 }  // namespace weft

@@ -316,7 +316,8 @@ PredictorCapabilities EmdPredictor::capabilities() const {
           .shape_gradients = true,
           .jvp = true,
           .deterministic = true,
-          .needs_binding = true};
+          .needs_binding = true,
+          .opening_hands = true};
 }
 
 void EmdPredictor::bind(const Task& task) {

@@ -89,6 +89,7 @@ void Model::describe_task(const Task& task) {
   drop_height = m.drop_height;
   contact_height = m.contact_height;
   displacement = {m.displacement.x(), m.displacement.y()};
+  opens_at.assign(m.opens_at.begin(), m.opens_at.end());
   material = write_material_space(task.material).to_yaml();
   dimensions.vertices = task.garment->vertex_count();
   dimensions.controls = control_names.size();
@@ -116,6 +117,10 @@ std::string Model::require_task(const Task& task, bool allow_other_fabric) const
   }
   if (!close(displacement, wanted.displacement))
     refuse("the displacement", list(displacement), list(wanted.displacement));
+  if (opens_at != wanted.opens_at) {
+    const auto text = [](const std::vector<double>& at) { return at.empty() ? "[], all at the release" : list(at); };
+    refuse("hands that open at the progress", text(opens_at), text(wanted.opens_at));
+  }
   if (!close({drop_height}, {wanted.drop_height}))
     refuse("the drop height", list({drop_height}), list({wanted.drop_height}));
   if (!close({contact_height}, {wanted.contact_height})) {

@@ -85,6 +85,7 @@ struct Model {
   std::vector<double> initial_state, initial_targets;  ///< [states], [3 hands]
   double drop_height = 0.0, contact_height = 0.0;
   std::vector<double> displacement;           ///< [2]
+  std::vector<double> opens_at;               ///< [hands], or empty: all hands open at the release
   std::string material;                       ///< material space, YAML
   std::string dataset, provenance, training;  ///< identity of the data; versions and commit; training.json
   std::vector<DatasetOrigin> datasets;        ///< training data; empty: the file is older than this record

@@ -37,6 +37,7 @@ std::string checksum(const Model& m, const std::string& architecture) {
   }
   add(m.control_low, m.control_high, m.initial_state, m.initial_targets, m.displacement);
   add(std::vector<double>{m.drop_height, m.contact_height}, m.material, m.dataset, m.provenance, m.training);
+  if (!m.opens_at.empty()) add(std::string("opens_at"), m.opens_at);
   const auto add_datasets = [&](const std::vector<DatasetOrigin>& datasets) {
     for (const auto& one : datasets) {
       add(one.identity, std::to_string(one.seed), std::vector<double>{one.validation_fraction, one.test_fraction});
@@ -140,6 +141,7 @@ class ModelWriter {
     write_vector("/manipulation/initial_targets", m_.initial_targets);
     write_vector("/manipulation/displacement", m_.displacement);
     write_vector("/manipulation/heights", std::vector<double>{m_.drop_height, m_.contact_height});
+    if (!m_.opens_at.empty()) write_vector("/manipulation/opens_at", m_.opens_at);
     file_.write("/material", m_.material);
   }
 
@@ -272,6 +274,7 @@ class ModelReader {
     const auto heights = numbers("/manipulation/heights", 2);
     m_.drop_height = heights[0];
     m_.contact_height = heights[1];
+    if (file_.has("/manipulation/opens_at")) m_.opens_at = numbers("/manipulation/opens_at", d.hands);
     m_.material = file_.read_text("/material");
   }
 

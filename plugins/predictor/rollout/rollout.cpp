@@ -30,8 +30,9 @@ struct RolloutPredictor::Run {
   std::vector<Positions> early;                                     ///< the same, released but not yet settled
   std::vector<std::shared_ptr<const SimulatorSnapshot>> snapshots;  ///< at the start of each segment
   std::vector<Vector> states;                                       ///< at the start of each segment
-  Index release = 0;       ///< 1-based segment at whose end the cloth is released; 0: never
-  Index early_frames = 0;  ///< of settling in `early`
+  Index release = 0;                        ///< 1-based segment at whose end the cloth is released; 0: never
+  std::vector<std::vector<Index>> opening;  ///< [k]: hands that open at the end of each segment, while others go on
+  Index early_frames = 0;                   ///< of settling in `early`
 };
 
 class RolloutPredictor::Lease {
@@ -275,13 +276,14 @@ class RolloutPrediction final : public PlainPrediction {
   }
 
   /// Simulates from the start of `from` (0-based segment; its snapshot must be taken) to the last requested segment.
-  /// @param settle_frames frames of settling in a perturbed run. @param record true for the unperturbed run, which
-  /// settles to the end.
+  /// @param run of the case, unperturbed: hands open and release in its segments.
+  /// @param settle_frames frames of settling in a perturbed run. @param record `run` while it is made, which settles to the
+  /// end; null for a perturbed run.
   void advance(Simulator& simulator, const PredictionCase& one, const Controls& controls, Index from, Vector state,
-               Index release, Index settle_frames, std::vector<Positions>& shapes, Run* record) const {
+               const Run& run, Index settle_frames, std::vector<Positions>& shapes, Run* record) const {
     const auto& task = owner_.task_;
     const auto& trajectory = *task.trajectory;
-    const Index last = one.segments.empty() ? 0 : one.segments.back();
+    const Index last = one.segments.empty() ? 0 : one.segments.back(), release = run.release;
     for (Index j = from; j < last; ++j) {
       if (release > 0 && j >= release) {  // segments after the release have no effect (section 4)
         shapes.push_back(shapes.back());
@@ -294,7 +296,7 @@ class RolloutPrediction final : public PlainPrediction {
           record->snapshots.push_back(simulator.save());
       }
       const SegmentPath path = trajectory.segment(task.manipulation, state, controls.row(j).transpose());
-      for (const auto& targets : path.targets) simulator.step(targets);
+      for (const auto& targets : path.targets) move_hands(simulator, task.manipulation, targets);
       state = path.end_state;
       if (j + 1 == release) {
         simulator.release();
@@ -307,8 +309,9 @@ class RolloutPrediction final : public PlainPrediction {
           settle.max_frames = task.settle.max_frames - early.frames;
           if (!early.settled && settle.max_frames > 0) simulator.settle(settle);
         }
-      } else if (record) {
-        record->early.push_back(simulator.positions());
+      } else {
+        open_hands(simulator, task.manipulation, run.opening[j]);
+        if (record) record->early.push_back(simulator.positions());
       }
       shapes.push_back(simulator.positions());
     }
@@ -320,10 +323,16 @@ class RolloutPrediction final : public PlainPrediction {
     const Index u = trajectory.release_segment(owner_.task_.manipulation, one.state, one.controls);
     const RowMatrix states = trajectory.segment_states(owner_.task_.manipulation, one.state, one.controls);
     run.release = trajectory.released(states.row(u - 1).transpose()) ? u : 0;
+    run.opening.resize(one.controls.rows());
+    Vector state = one.state;
+    for (Index j = 0; j < one.controls.rows() && owner_.task_.manipulation.opens_at.size() > 0; ++j) {
+      SegmentPath path = trajectory.segment(owner_.task_.manipulation, state, one.controls.row(j).transpose());
+      run.opening[j] = std::move(path.opening);
+      state = std::move(path.end_state);
+    }
     const Lease lease(owner_);
     owner_.start(*lease, one, run.material);
-    advance(*lease, one, one.controls, 0, one.state, run.release, owner_.params_.difference_settle_frames, run.shapes,
-            &run);
+    advance(*lease, one, one.controls, 0, one.state, run, owner_.params_.difference_settle_frames, run.shapes, &run);
   }
 
   /// Mean and sigma over the samples, for every requested segment. Sigma adds the declared noise level.
@@ -380,7 +389,7 @@ class RolloutPrediction final : public PlainPrediction {
         shapes[s].assign(run.shapes.begin(), run.shapes.begin() + from);
       }
       // As many frames as the unperturbed run, so that only the controls make a difference.
-      advance(*lease, one, controls, first, state, run.release, run.early_frames, shapes[s], nullptr);
+      advance(*lease, one, controls, first, state, run, run.early_frames, shapes[s], nullptr);
       sampled.push_back(&shapes[s]);
     }
     return moments(one, sampled);
@@ -435,7 +444,12 @@ class RolloutPrediction final : public PlainPrediction {
 RolloutPredictor::RolloutPredictor(const Params& params, Host& host) : params_(params), host_(host) {}
 
 PredictorCapabilities RolloutPredictor::capabilities() const {
-  return {.gradients = true, .jvp = true, .deterministic = true, .needs_binding = true, .obstacles = true};
+  return {.gradients = true,
+          .jvp = true,
+          .deterministic = true,
+          .needs_binding = true,
+          .obstacles = true,
+          .opening_hands = true};
 }
 
 void RolloutPredictor::bind(const Task& task) {
@@ -464,8 +478,7 @@ void RolloutPredictor::start(Simulator& simulator, const PredictionCase& one,
   if (one.previous && params_.carry_velocity) {
     velocities = (*one.shape - *one.previous) / (kFrameSeconds * static_cast<double>(kFramesPerSegment));
   }
-  std::vector<Index> held(task_.manipulation.grasp_vertices);
-  simulator.set_state(*one.shape, velocities, held);
+  simulator.set_state(*one.shape, velocities, task_.held_at(one.state));
 }
 
 std::unique_ptr<Prediction> RolloutPredictor::predict(const std::vector<PredictionCase>& cases,

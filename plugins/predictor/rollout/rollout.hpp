@@ -37,9 +37,9 @@ struct Params {
 };
 
 /// The simulator itself as forward model, with one simulation per case and material sample, in parallel. Gradients come
-/// from finite differences. Perturbed runs keep the material samples (common random numbers). They start from snapshots
-/// of the unperturbed run at the start of each segment, so that segments before the perturbation are not simulated
-/// again. A perturbed run releases in the same segment as the unperturbed one, as in eq. 5, where u is fixed for the
+/// from finite differences. Perturbed runs keep the material samples (common random numbers). They start from snapshots of the
+/// unperturbed run at the start of each segment, so that segments before the perturbation are not simulated again. A perturbed
+/// run releases, and opens single hands, in the same segments as the unperturbed one, as in eq. 5, where u is fixed for the
 /// gradient. Settling takes longer than the fold itself. So perturbed runs end soon after the release and are compared
 /// with the unperturbed run at that moment: shapes are exact, derivatives are those of the shape before it has settled.
 class RolloutPredictor final : public Predictor {

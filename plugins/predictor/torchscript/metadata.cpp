@@ -53,6 +53,8 @@ void require_task(const Metadata& m, const std::string& file, const Task& task) 
   if (std::abs(m.drop_height_m - manipulation.drop_height) > 1e-6) {
     refuse("drop_height_m", number(m.drop_height_m), number(manipulation.drop_height));
   }
+  const std::vector<double> opens_at(manipulation.opens_at.begin(), manipulation.opens_at.end());
+  if (m.opens_at != opens_at) refuse("opens_at", numbers(m.opens_at), numbers(opens_at));
   const auto lists = [&](const std::vector<double>& a, const std::string& name_a, const std::vector<double>& b,
                          const std::string& name_b, const std::vector<std::string>& variables) {
     for (const auto& [name, values] : {std::pair(name_a, a), std::pair(name_b, b)}) {

@@ -12,7 +12,7 @@ namespace weft::torchscript {
 struct Metadata {
   std::string garment_hash;
   std::vector<std::string> controls, states;
-  std::vector<double> grasp_vertices, displacement_m;
+  std::vector<double> grasp_vertices, displacement_m, opens_at;
   double drop_height_m = 0.05;
   ConfigNode material;
   std::vector<double> control_low, control_high;
@@ -28,6 +28,8 @@ struct Metadata {
     v("grasp_vertices", grasp_vertices, range(0, 1e9), "Vertices that the hands hold.");
     v("displacement_m", displacement_m, range(-10, 10, "m"), "d, [x, y].");
     v("drop_height_m", drop_height_m, range(0, 1, "m"), "h.");
+    v("opens_at", opens_at, range(0, 1),
+      "manipulation.opens_at of the training data; default: all hands at the release.");
     v("material", material, "Material space of the training data; without it nothing is compared, and weft warns.");
     v("control_low", control_low, range(-1e9, 1e9),
       "Least value of each control in the training data; plans stay above.");

@@ -320,7 +320,8 @@ PredictorCapabilities TorchScriptPredictor::capabilities() const {
           .state_gradients = true,
           .shape_gradients = true,
           .deterministic = !params_.batch,
-          .needs_binding = true};
+          .needs_binding = true,
+          .opening_hands = true};
 }
 
 void TorchScriptPredictor::bind(const Task& task) {
