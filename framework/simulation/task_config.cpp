@@ -2,8 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <sstream>
 
 #include "simulation/hand_limits.hpp"
+#include "simulation/seen_vertex.hpp"
 #include "simulation/simulator_warnings.hpp"
 #include "simulation/start_shape.hpp"
 #include "simulation/surroundings.hpp"
@@ -39,13 +42,35 @@ HandLimits read_limits(const TaskParams::Hands::Limits& params, const ConfigNode
   return limits;
 }
 
-/// The vertices that the hands take.
+/// Where the cloth lies at the beginning, as it is known then, [V, 3] m. @param thickest of the material space, m.
+Positions known_start(const Task& task, double thickest, const ConfigNode& origin) {
+  if (task.start) return task.start->shape;
+  return blaming(place(origin, "scene.obstacles"),
+                 [&] { return start_positions(*task.garment, task.scene, thickest); });
+}
+
+/// The place of `nearest(x, y)`; nullopt: not of this form.
+std::optional<Vec2> nearest_place(const std::string& grasp) {
+  std::istringstream text(grasp);
+  std::string word(std::min<std::size_t>(8, grasp.size()), ' ');
+  Vec2 at;
+  char comma = ' ', bracket = ' ';
+  if (!text.read(word.data(), std::ssize(word)) || word != "nearest(") return std::nullopt;
+  if (!(text >> at.x() >> comma >> at.y() >> bracket) || comma != ',' || bracket != ')' || !(text >> std::ws).eof() ||
+      !at.allFinite())
+    return std::nullopt;
+  return at;
+}
+
+/// The vertices that the hands take. @param start where the cloth lies.
 std::vector<Index> grasped_vertices(const std::vector<std::string>& grasp, const ConfigNode& origin,
-                                    const Garment& garment) {
+                                    const Garment& garment, const Positions& start) {
   std::vector<Index> vertices;
   for (std::size_t i = 0; i < grasp.size(); ++i) {
     const ConfigNode key = place(origin, "manipulation.grasp." + std::to_string(i));
-    const Index vertex = blaming(key, [&] { return garment.vertex(grasp[i]); });
+    const auto at = nearest_place(grasp[i]);
+    const Index vertex =
+        at ? nearest_seen_vertex(start, garment.faces, *at) : blaming(key, [&] { return garment.vertex(grasp[i]); });
     if (std::find(vertices.begin(), vertices.end(), vertex) != vertices.end())
       key.fail("= " + grasp[i] + " is vertex " + std::to_string(vertex) + ", which another hand holds already");
     vertices.push_back(vertex);
@@ -96,7 +121,8 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
   // All fabrics share one path, so the targets must clear the ground with the thickest one.
   const auto& thickness = task.material.ranges[3];
   const double thickest = std::max(thickness.low, thickness.high);
-  manipulation.grasp_vertices = grasped_vertices(params.manipulation.grasp, origin, *task.garment);
+  const Positions lying = known_start(task, thickest, origin);
+  manipulation.grasp_vertices = grasped_vertices(params.manipulation.grasp, origin, *task.garment, lying);
   manipulation.opens_at = opening(params.manipulation.opens_at, origin, task.trajectory->hands());
   manipulation.grasp_points.resize(task.trajectory->hands(), 3);
   const Positions& shape = task.start ? task.start->shape : task.garment->positions;
@@ -112,8 +138,6 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
   if (task.start) {
     manipulation.contact_height = std::max(manipulation.contact_height, manipulation.grasp_points.col(2).maxCoeff());
   } else if (!task.scene.obstacles.empty()) {
-    const Positions lying =
-        blaming(place(origin, "scene.obstacles"), [&] { return start_positions(*task.garment, task.scene, thickest); });
     manipulation.contact_height = lying(manipulation.grasp_vertices.front(), 2);
     for (const Index vertex : manipulation.grasp_vertices)
       manipulation.contact_height = std::max(manipulation.contact_height, lying(vertex, 2));

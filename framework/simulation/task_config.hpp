@@ -38,7 +38,9 @@ struct TaskParams {
     } limits;
     template <class Visitor>
     void visit(Visitor& v) {
-      v("grasp", grasp, "Names of the held vertices, one for each hand: the paper's g_0.");
+      v("grasp", grasp,
+        "The held vertices, one for each hand: a name, or nearest(x, y), which is the vertex nearest to that place (m) of "
+        "those that are seen from above. The paper's g_0.");
       v("displacement_m", displacement_m, range(-10, 10, "m"),
         "d: displacement of the grasp points' midpoint; `weft displacement` tunes its length.", Length{2, "x, y"});
       v("drop_height_m", drop_height_m, range(0, 1, "m"),

@@ -1,4 +1,4 @@
-// Hands that open one by one.
+// Hands that open one by one, and vertices that are chosen by where they lie.
 #include <gtest/gtest.h>
 
 #include <nlohmann/json.hpp>
@@ -7,6 +7,7 @@
 #include "session/twin.hpp"
 #include "simulation/fold.hpp"
 #include "simulation/hand_limits.hpp"
+#include "simulation/seen_vertex.hpp"
 #include "simulation/start_shape.hpp"
 #include "weft/hands.hpp"
 
@@ -240,6 +241,57 @@ TEST_F(Opening, AnOpenHandHasNoLimits) {
   EXPECT_EQ(meter.motion().outside, 0.0);
   EXPECT_EQ(meter.motion().speed, 0.0);
   EXPECT_EQ(meter.motion().acceleration, 0.0);
+}
+
+TEST(SeenVertex, IsTheNearestOfTheUpperLayer) {
+  // A square of 2 x 2 faces whose right half lies over the left one.
+  Positions shape(6, 3);
+  shape << 0, 0, 0.001, 0, 1, 0.001, 1, 0, 0.001, 1, 1, 0.001, 0.1, 0, 0.003, 0.1, 1, 0.003;
+  Faces faces(4, 3);
+  faces << 0, 2, 1, 2, 3, 1, 2, 4, 3, 4, 5, 3;
+  EXPECT_EQ(nearest_seen_vertex(shape, faces, {0.02, 0.1}), 0);
+  EXPECT_EQ(nearest_seen_vertex(shape, faces, {0.08, 0.1}), 4);
+  shape(0, 0) = 0.2;  // now it lies under the other half
+  EXPECT_EQ(nearest_seen_vertex(shape, faces, {0.2, 0.0}), 4);
+  shape.col(2) *= -1.0;  // seen from the other side
+  EXPECT_EQ(nearest_seen_vertex(shape, faces, {0.2, 0.0}), 0);
+}
+
+TEST_F(Opening, AVertexCanBeChosenByItsPlace) {
+  const Task named = task_of({});
+  const Positions& flat = named.garment->positions;
+  const Index corner = named.garment->vertex("right_top");
+  const auto near_corner = [&](double x, double y) {
+    return "manipulation.grasp=[left_bottom, \"nearest(" + std::to_string(x) + ", " + std::to_string(y) + ")\"]";
+  };
+  const Task chosen = task_of({near_corner(flat(corner, 0) + 0.01, flat(corner, 1) - 0.01)});
+  EXPECT_EQ(chosen.manipulation.grasp_vertices[1], corner);
+  const Index left = named.garment->vertex("left_bottom");
+  EXPECT_NE(test::message_of<ConfigError>([&] {
+              task_of({near_corner(flat(left, 0), flat(left, 1))});
+            }).find("another hand holds already"),
+            std::string::npos);
+  for (const char* wrong : {"nearest(0.1)", "nearest(0.1, 0.2", "nearest(0.1, nan)", "nearest(0.1, 0.2) of all"})
+    EXPECT_NE(test::message_of<ConfigError>([&] {
+                task_of({"manipulation.grasp=[left_bottom, \"" + std::string(wrong) + "\"]"});
+              }).find("no vertex is named '" + std::string(wrong)),
+              std::string::npos)
+        << wrong;
+}
+
+TEST_F(Opening, TheNextFoldTakesWhatIsSeen) {
+  // The left edge was folded over to the right: it lies on the right edge, and above it.
+  const SessionResult first = run();
+  const auto file = folder_ / "first.h5";
+  record(file, first);
+  const Positions& seen = first.rounds.back().observed;
+  const Task flat = task();
+  const Index above = flat.garment->vertex("left_top");
+  std::string at = "nearest(" + std::to_string(seen(above, 0)) + ", " + std::to_string(seen(above, 1)) + ")";
+  const Task next = task_of({"start.session=" + file.string(), "manipulation.grasp=[\"" + at + "\", right_bottom]",
+                             "manipulation.displacement_m=[0, 0.2]"});
+  EXPECT_EQ(next.manipulation.grasp_vertices[0], above);
+  EXPECT_EQ(next.manipulation.grasp_points.row(0).head<2>(), seen.row(above).head<2>());
 }
 
 }  // namespace
