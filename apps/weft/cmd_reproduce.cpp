@@ -3,6 +3,7 @@
 
 #include "commands.hpp"
 #include "experiments/reproduction.hpp"
+#include "loader/processors.hpp"
 #include "options.hpp"
 #include "output.hpp"
 #include "paper_options.hpp"
@@ -61,7 +62,11 @@ int reproduce(Context& context, const ReproduceCall& call) {
   const auto parts = chosen_parts(all, call.parts);
   const fs::path out = result_folder(context, "reproduce-" + size);
   if (!call.dry_run) return ReproductionRun(context, all, out, call.options).run(parts);
-  for (const auto* step : steps_of(all, parts))
+  const auto steps = steps_of(all, parts);
+  if (const auto expected = expected_time(steps, context.jobs > 0 ? context.jobs : allowed_processors());
+      !expected.empty())
+    context.output() << "# " << expected << '\n';
+  for (const auto* step : steps)
     for (const auto& command : commands_of(*step, out)) context.output() << typed(command.words) << '\n';
   return 0;
 }
@@ -78,7 +83,7 @@ void register_reproduce(CLI::App& app, Context& context) {
   command->add_option("--config", call->config, "What to measure; default: configs/reproduce.yaml");
   CLI::Option* quick = command->add_flag("--quick", call->quick, "About 10 minutes on two cores; the default");
   CLI::Option* standard = command->add_flag("--standard", call->standard, "About 2.5 hours on two cores");
-  CLI::Option* full = command->add_flag("--full", call->full, "Everything");
+  CLI::Option* full = command->add_flag("--full", call->full, "Everything: hours, which it prints first");
   standard->excludes(quick);
   full->excludes(quick)->excludes(standard);
   command->add_flag("--dry-run", call->dry_run, "Print the commands and run nothing");

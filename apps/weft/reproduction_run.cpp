@@ -46,6 +46,8 @@ const char* result_of(const std::vector<std::string>& words) {
   return nullptr;
 }
 
+std::string count_of(std::size_t parts) { return std::to_string(parts) + (parts == 1 ? " part" : " parts"); }
+
 /// A measurement as it was before, if only what does not belong to the results is different now.
 bool is_same(const ordered_json& earlier, const ordered_json& now) {
   if (!earlier.is_object()) return false;
@@ -67,6 +69,9 @@ int ReproductionRun::run(const std::vector<const ReproductionPart*>& parts) {
   Context::catch_signals();
   make_writable_folder(out_);
   const auto steps = steps_of(all_, parts);
+  const std::string expected = expected_time(steps, context_.jobs > 0 ? context_.jobs : allowed_processors());
+  if (options_.on.empty() && !expected.empty())
+    context_.say(count_of(parts.size()) + " of size " + all_.size + ": " + expected);
   bool is_refused = false;
   std::vector<std::string> missing;
   for (std::size_t i = 0; i < steps.size() && !*context_.cancel_flag(); ++i) {
@@ -89,8 +94,8 @@ int ReproductionRun::run(const std::vector<const ReproductionPart*>& parts) {
   }
   double seconds = 0.0;
   for (const auto* part : parts) seconds += seconds_of(*part);
-  context_.say(std::to_string(parts.size()) + (parts.size() == 1 ? " part" : " parts") + " of size " + all_.size +
-               ", " + duration_text(seconds) + " in all; the list is " + (out_ / "index.md").string());
+  context_.say(count_of(parts.size()) + " of size " + all_.size + ", " + duration_text(seconds) +
+               " in all; the list is " + (out_ / "index.md").string());
   if (context_.json) {
     auto list = ordered_json::array();
     for (const auto* part : parts)

@@ -209,6 +209,7 @@ ordered_json statistics_json(const BootstrapStatistics& s) {
           {"mean", json_number(s.mean)},
           {"median", json_number(s.median)},
           {"sd", json_number(s.sd)},
+          {"largest", json_number(s.largest)},
           {"mean_95", json_interval(s.mean_interval)},
           {"median_95", json_interval(s.median_interval)}};
 }

@@ -1,6 +1,8 @@
 #include "experiments/reproduction.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdio>
 #include <fstream>
 #include <functional>
 #include <iterator>
@@ -13,6 +15,7 @@
 #include "report/measurement.hpp"
 #include "sdk/files.hpp"
 #include "sdk/json_text.hpp"
+#include "sdk/listed.hpp"
 #include "weft/config.hpp"
 
 namespace weft {
@@ -88,16 +91,18 @@ void add_sets(std::vector<std::string>& words, const ConfigNode& set) {
 
 /// The sessions of a step of runs: one row each.
 PaperTable table_of_runs(const std::vector<ReproductionCommand>& commands) {
-  PaperTable table{"runs",
-                   "Sessions: the distance from the goal that the default control leaves, and that the session leaves",
-                   {{"seed", "seed", "", 0},
-                    {"segments", "segments", "", 0},
-                    {"default_error", "default control, mm", "mm", 1},
-                    {"error", "mean, mm", "mm", 1},
-                    {"max_error", "largest, mm", "mm", 1},
-                    {"iou", "IoU", "", 3}},
-                   {},
-                   0};
+  PaperTable table{
+      "runs",
+      "Sessions: the mean distance from the goal that the default control leaves, and the mean and largest one that the "
+      "session leaves",
+      {{"seed", "seed", "", 0},
+       {"segments", "segments", "", 0},
+       {"default_error", "default control, mm", "mm", 1},
+       {"error", "session, mm", "mm", 1},
+       {"max_error", "session, largest, mm", "mm", 1},
+       {"iou", "IoU", "", 3}},
+      {},
+      0};
   for (const auto& command : commands) {
     if (command.words.front() != "run") continue;
     const auto summary = parse_json(whole_text(command.folder / "summary.json"));
@@ -317,6 +322,32 @@ std::vector<const ReproductionStep*> steps_of(const Reproduction& all,
   return steps;
 }
 
+std::string expected_time(const std::vector<const ReproductionStep*>& steps, int processors) {
+  double cpu = 0.0, wall = 0.0;
+  std::vector<std::string> unknown;
+  for (const auto* step : steps) {
+    const double minutes = step->size.cpu_minutes;
+    // A benchmark does one thing at a time, mostly on one processor.
+    const int used = step->params.command == "benchmark" ? 1 : processors;
+    cpu += minutes;
+    wall += minutes / used;
+    if (minutes == 0.0 && step->params.results.empty()) unknown.push_back(step->label());
+  }
+  if (cpu == 0.0) return "";
+  const auto text = [](double minutes) {
+    char number[40];
+    const double whole = std::ceil(minutes);
+    if (minutes < 60.0)
+      std::snprintf(number, sizeof number, "%.0f minute%s", whole, whole == 1.0 ? "" : "s");
+    else
+      std::snprintf(number, sizeof number, "%.1f hours", minutes / 60.0);
+    return std::string(number);
+  };
+  return "about " + text(cpu) + " of CPU time, " + text(wall) + " on " + std::to_string(processors) +
+         (processors == 1 ? " processor" : " processors") +
+         (unknown.empty() ? "" : ", without " + listed(unknown) + ", whose time is unknown");
+}
+
 std::vector<ReproductionCommand> commands_of(const ReproductionStep& step, const fs::path& out, const fs::path& root) {
   const auto& params = step.params;
   if (!params.results.empty()) return {};
@@ -349,10 +380,11 @@ std::vector<ReproductionCommand> commands_of(const ReproductionStep& step, const
       std::string frames;
       for (const auto& frame : params.stills) frames += (frames.empty() ? "" : ",") + frame;
       const fs::path stills = session / "stills";
-      commands.push_back({{"export", session.string(), "--png", frames, "--out",
-                           params.stills.size() == 1 ? (stills / "frame.png").string() : stills.string()},
-                          stills,
-                          false});
+      std::vector<std::string> export_words = {"export", session.string(), "--png", frames};
+      if (!params.still_size.empty()) export_words.insert(export_words.end(), {"--size", params.still_size});
+      export_words.insert(export_words.end(),
+                          {"--out", params.stills.size() == 1 ? (stills / "frame.png").string() : stills.string()});
+      commands.push_back({export_words, stills, false});
     }
     return commands;
   }
@@ -387,10 +419,10 @@ std::vector<ReproductionFigure> figures_of(const Reproduction& all, const Reprod
   for (const auto& step : part.steps) {
     const ReproductionStep& source = source_of(all, step);
     const fs::path folder = out / source.part / source.name;
-    const auto add = [&](const fs::path& from, const std::string& title) {
+    const auto add = [&](const fs::path& from, const std::string& title, const std::string& session = "") {
       if (!fs::exists(from)) return;
-      const std::string name = part.name + "-" + step.name + "-" + title;
-      figures.push_back({from, step.name, title, "figures/" + name + from.extension().string()});
+      const std::string name = part.name + "-" + step.name + "-" + (session.empty() ? "" : session + "-") + title;
+      figures.push_back({from, step.name, title, "figures/" + name + from.extension().string(), session});
     };
     for (const auto& name : step.params.figures) add(folder / "figures" / (name + ".svg"), name);
     for (const auto& command : commands_of(source, out)) {
@@ -400,7 +432,7 @@ std::vector<ReproductionFigure> figures_of(const Reproduction& all, const Reprod
       for (const auto& entry : fs::directory_iterator(command.folder, none)) stills.push_back(entry.path());
       std::sort(stills.begin(), stills.end());
       for (const auto& still : stills)
-        add(still, command.folder.parent_path().filename().string() + "-" + still.stem().string());
+        add(still, still.stem().string(), command.folder.parent_path().filename().string());
     }
   }
   return figures;
@@ -442,8 +474,10 @@ ordered_json measurement_of(const Reproduction& all, const ReproductionPart& par
                      {"identities", identities}});
   }
   if (tables.empty()) return nullptr;
-  for (const auto& figure : figures_of(all, part, out))
+  for (const auto& figure : figures_of(all, part, out)) {
     figures.push_back({{"step", figure.step}, {"title", figure.title}, {"file", figure.file}});
+    if (!figure.session.empty()) figures.back()["session"] = figure.session;
+  }
   ordered_json models = ordered_json::array();
   const auto known = models_in(all.models);
   for (const auto& hash : hashes) {

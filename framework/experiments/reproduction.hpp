@@ -13,6 +13,7 @@ namespace weft {
 /// What one size takes of a step.
 struct StepSizeParams {
   std::int64_t cases = 0;
+  double cpu_minutes = 0.0;
   std::vector<std::string> options;
   ConfigNode set;
 
@@ -20,13 +21,15 @@ struct StepSizeParams {
   void visit(Visitor& v) {
     v("cases", cases, range(0, 1000000),
       "Number of cases, seeds, examples, runs, random folds, or repeats, as the command has them; 0: that of its config.");
+    v("cpu_minutes", cpu_minutes, range(0, 1e6, "min"),
+      "CPU time of one processor that the step takes, as it was last measured or estimated; 0: unknown. Their sum is printed.");
     v("options", options, "Further words of the command.");
     v("set", set, "Keys of the command's config and their values, dotted: {planning.instances: 8}.");
   }
 };
 
 struct StepParams {
-  std::string title, command = "ablate", examples, results;
+  std::string title, command = "ablate", examples, results, still_size;
   std::filesystem::path config;
   std::int64_t seed = -1;
   std::vector<std::string> options, tables, figures, stills;
@@ -51,6 +54,7 @@ struct StepParams {
       "Names of the tables of the page; empty: all, but of an ablation of sessions ablation-error_mm.");
     v("figures", figures, "Names of the figures of the page, where figures are drawn.");
     v("stills", stills, "Of runs: the frames of which there are pictures, as in `weft export --png`.");
+    v("still_size", still_size, "Their size in pixels, as in `weft export --size`; empty: the default of that.");
     v.group("quick", quick, "With --quick; a size that is not given leaves the step out.");
     v.group("standard", standard, "With --standard.");
     v.group("full", full, "With --full.");
@@ -121,6 +125,10 @@ std::vector<const ReproductionPart*> chosen_parts(const Reproduction& all, const
 std::vector<const ReproductionStep*> steps_of(const Reproduction& all,
                                               const std::vector<const ReproductionPart*>& parts);
 
+/// "about 3.2 hours of CPU time, 1.6 hours on 2 processors", by `cpu_minutes` of the steps; those that have none are named.
+/// Empty if no step has them.
+std::string expected_time(const std::vector<const ReproductionStep*>& steps, int processors);
+
 /// A call of weft: its words without the program, and the folder of its results.
 struct ReproductionCommand {
   std::vector<std::string> words;
@@ -138,6 +146,7 @@ std::string typed(const std::vector<std::string>& words);
 struct ReproductionFigure {
   std::filesystem::path from;
   std::string step, title, file;  ///< file: from the page's folder
+  std::string session = {};       ///< whose stills stand in a row; empty: it stands alone
 };
 /// The pictures of a part that have been drawn.
 std::vector<ReproductionFigure> figures_of(const Reproduction& all, const ReproductionPart& part,

@@ -50,7 +50,7 @@ Spread spread_of(const std::vector<double>& values) {
   double square = 0.0;
   for (const double v : values) square += (v - mean) * (v - mean);
   const double sd = values.size() > 1 ? std::sqrt(square / static_cast<double>(values.size() - 1)) : kNaN;
-  return {mean, sd, quantile_of(values, 0.5)};
+  return {mean, sd, quantile_of(values, 0.5), quantile_of(values, 1.0)};
 }
 
 BootstrapStatistics bootstrap_statistics(const std::vector<double>& values, std::int64_t resamples, std::uint64_t key) {

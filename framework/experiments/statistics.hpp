@@ -15,7 +15,7 @@ double quantile_of(std::vector<double> values, double at);
 
 /// An entry is NaN if there are too few values for it.
 struct Spread {
-  double mean = kNaN, sd = kNaN, median = kNaN;
+  double mean = kNaN, sd = kNaN, median = kNaN, largest = kNaN;
 };
 Spread spread_of(const std::vector<double>& values);
 

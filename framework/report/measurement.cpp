@@ -59,6 +59,34 @@ std::string origin_line(const ordered_json& measurement) {
   return line;
 }
 
+/// The pictures of a step: one below the other, but the stills of a session beside each other in a table.
+std::string figures_text(const ordered_json& figures, const std::string& step) {
+  std::string alone, stills, session;
+  std::size_t columns = 0, stills_of_session = 0;
+  for (const auto& figure : figures) {
+    if (figure.at("step") != step) continue;
+    const std::string picture =
+        "![" + figure.at("title").get<std::string>() + "](" + figure.at("file").get<std::string>() + ")";
+    const std::string own = figure.value("session", "");
+    if (own.empty()) {
+      alone += "\n" + picture + "\n";
+      continue;
+    }
+    if (own != session) stills += (stills.empty() ? "" : "\n") + std::string("| ") + own + " |";
+    stills_of_session = own == session ? stills_of_session + 1 : 1;
+    columns = std::max(columns, stills_of_session);
+    session = own;
+    stills += " " + picture + " |";
+  }
+  if (stills.empty()) return alone;
+  std::string head = "| session |", line = "|---|";
+  for (std::size_t i = 0; i < columns; ++i) {
+    head += "  |";
+    line += "---|";
+  }
+  return alone + "\n" + head + "\n" + line + "\n" + stills + "\n";
+}
+
 /// The words of a row, or its first number: what ROW of a mark names.
 std::string name_of_row(const PaperTable& table, const std::vector<ordered_json>& row) {
   std::vector<std::string> words;
@@ -171,7 +199,11 @@ std::string measurement_page(const ordered_json& measurement) {
   const auto name = measurement.at("name").get<std::string>();
   std::string page = "# " + measurement.at("title").get<std::string>() + "\n\n";
   if (const auto about = measurement.at("about").get<std::string>(); !about.empty()) page += about + "\n\n";
-  page += origin_line(measurement) + "\n\n```sh\n" + measurement.at("command").get<std::string>() + "\n```\n";
+  page += origin_line(measurement);
+  // What it is for, since nothing else on the page says it.
+  if (measurement.at("size") == "quick")
+    page += " This size shows that all of it runs; for conclusions it has too few cases.";
+  page += "\n\n```sh\n" + measurement.at("command").get<std::string>() + "\n```\n";
   for (const auto& step : measurement.at("steps")) {
     if (const auto title = step.at("title").get<std::string>(); !title.empty()) page += "\n## " + title + "\n";
     page += "\n```sh\n";
@@ -182,9 +214,7 @@ std::string measurement_page(const ordered_json& measurement) {
       if (table.label.starts_with(step.at("name").get<std::string>() + "/"))
         page += "\n" + table.caption + ".\n\n" + markdown_of(table);
     }
-    for (const auto& figure : measurement.at("figures"))
-      if (figure.at("step") == step.at("name"))
-        page += "\n![" + figure.at("title").get<std::string>() + "](" + figure.at("file").get<std::string>() + ")\n";
+    page += figures_text(measurement.at("figures"), step.at("name"));
   }
   return page + "\n" + kMadeFrom + name + ".json by `weft reproduce --pages`: change that, not this page. -->\n";
 }

@@ -19,6 +19,8 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
 
+constexpr int kErrorDigits = PaperColumn::kTwoSignificant;  // of an error beside its bound
+
 /// A number of a result, times a factor; null where it is missing.
 ordered_json number_at(const ordered_json& object, const std::string& key, double factor = 1.0) {
   const auto found = object.find(key);
@@ -39,8 +41,8 @@ ordered_json interval_at(const ordered_json& statistics, const std::string& key)
 
 std::string fixed_text(double value, int digits) {
   char text[400];  // the largest double has 309 digits before the point
-  if (digits == PaperColumn::kSignificant)
-    std::snprintf(text, sizeof text, "%.4g", value);
+  if (digits < 0)
+    std::snprintf(text, sizeof text, "%.*g", digits == PaperColumn::kSignificant ? 4 : 2, value);
   else
     std::snprintf(text, sizeof text, "%.*f", digits, value);
   return text;
@@ -53,14 +55,34 @@ std::string unit_of(const std::string& metric) {
   return "";
 }
 
-/// Digits after the point that show three or four digits of the largest mean.
+/// Digits after the point that show three or four digits of the largest mean, and two of the smallest if one more is enough.
 int digits_for(const ordered_json& arms, const std::string& metric) {
-  double largest = 0.0;
-  for (const auto& arm : arms)
-    if (const auto& metrics = arm.at("metrics"); metrics.contains(metric) && metrics[metric].at("mean").is_number())
-      largest = std::max(largest, std::abs(metrics[metric]["mean"].get<double>()));
+  double largest = 0.0, smallest = 0.0;
+  for (const auto& arm : arms) {
+    const auto& metrics = arm.at("metrics");
+    if (!metrics.contains(metric) || !metrics[metric].at("mean").is_number()) continue;
+    const double mean = std::abs(metrics[metric]["mean"].get<double>());
+    largest = std::max(largest, mean);
+    if (mean > 0.0) smallest = smallest == 0.0 ? mean : std::min(smallest, mean);
+  }
   if (largest == 0.0) return 2;
-  return std::clamp(2 - static_cast<int>(std::floor(std::log10(largest))), 0, 9);
+  const auto exponent = [](double value) { return static_cast<int>(std::floor(std::log10(value))); };
+  const int digits = std::clamp(2 - exponent(largest), 0, 9);
+  return std::max(digits, std::min(1 - exponent(smallest), digits + 1));
+}
+
+/// What a metric of sessions is, for readers of a caption; empty if its name says it.
+std::string meaning_of(const std::string& metric) {
+  const std::pair<const char*, const char*> known[] = {
+      {"error_mm", "mean vertex distance from the goal after settling"},
+      {"default_error_mm", "that of the default control"},
+      {"first_plan_loss", "loss of the first plan, mm^2"},
+      {"first_plan_predicted_error_mm", "error that the first plan predicts"},
+      {"first_plan_evaluations", "points that the first plan evaluated, of all searches"},
+      {"evaluations", "points evaluated, of all plans and searches"}};
+  for (const auto& [name, meaning] : known)
+    if (metric == name) return std::string(" (") + meaning + ")";
+  return "";
 }
 
 /// What a caption must not hide.
@@ -95,6 +117,48 @@ void add_ablation_summary(const ordered_json& json, const std::vector<std::strin
   tables.push_back(std::move(table));
 }
 
+/// With measure: physics, the cases of each test in every arm: how many are within their bounds, and the errors.
+void add_ablation_physics(const ordered_json& json, const std::vector<std::string>& metrics,
+                          std::vector<PaperTable>& tables) {
+  const std::string within = "within bounds", between = ": ";
+  const auto factors = json.at("factors").get<std::vector<std::string>>();
+  PaperTable table{"ablation-physics",
+                   "Cases of the physics suite by their largest error, as the bound counts it; a case that failed was "
+                   "refused by the simulator, or ended without a result" +
+                       warnings_of(json),
+                   {{"test", "test", "", 0}, {"quantity", "quantity", "", 0}},
+                   {},
+                   2 + factors.size()};
+  for (const auto& factor : factors) table.columns.push_back({factor, factor, "", 0});
+  for (const char* name : {"cases", "within", "failed"}) table.columns.push_back({name, name, "", 0});
+  for (const char* name : {"median", "largest"}) table.columns.push_back({name, name, "", kErrorDigits});
+  const auto& cases = json.at("cases");
+  for (const auto& metric : metrics) {
+    const auto end = metric.find(between);
+    const std::string test = metric.substr(0, end);
+    if (end == std::string::npos || metric == test + between + within) continue;
+    for (const auto& arm : json.at("arms")) {
+      const auto& found = arm.at("metrics");
+      const ordered_json errors = found.value(metric, ordered_json::object());
+      const ordered_json passed = found.value(test + between + within, ordered_json::object());
+      const auto ran = passed.value("n", 0);
+      const auto failed = std::count_if(arm.at("failed").begin(), arm.at("failed").end(), [&](const auto& one) {
+        const auto name = cases.at(one.at("seed").template get<std::size_t>()).template get<std::string>();
+        return name == test || name.starts_with(test + ", ");
+      });
+      if (failed == 0 && number_at(errors, "median").is_null()) continue;  // a quantity of the other arms
+      const ordered_json share = number_at(passed, "mean");
+      std::vector<ordered_json> row = {test, metric.substr(end + between.size())};
+      for (const auto& factor : factors) row.push_back(arm.at("levels").at(factor));
+      row.insert(row.end(), {ran + failed,
+                             share.is_null() ? ordered_json(0) : ordered_json(std::lround(share.get<double>() * ran)),
+                             failed, number_at(errors, "median"), number_at(errors, "largest")});
+      table.rows.push_back(std::move(row));
+    }
+  }
+  tables.push_back(std::move(table));
+}
+
 /// One table for each metric: mean, median, and the paired difference to the baseline, with 95 % intervals.
 void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
   std::vector<std::string> metrics;
@@ -103,13 +167,17 @@ void add_ablation(const ordered_json& json, std::vector<PaperTable>& tables) {
       if (std::find(metrics.begin(), metrics.end(), name) == metrics.end()) metrics.push_back(name);
   const auto factors = json.at("factors").get<std::vector<std::string>>();
   const bool has_target = json.value("has_target", false);
-  if (!json.value("cases", ordered_json::array()).empty()) add_ablation_summary(json, metrics, tables);
+  if (!json.value("cases", ordered_json::array()).empty()) {
+    add_ablation_summary(json, metrics, tables);
+    add_ablation_physics(json, metrics, tables);
+  }
   for (const auto& metric : metrics) {
     PaperTable table;
     table.label = "ablation-" + metric;
     table.caption =
-        metric +
-        ": mean and median with the bootstrap's 95 % intervals, and the mean of the paired differences to the baseline" +
+        metric + meaning_of(metric) +
+        ": mean and median with the bootstrap's 95 % intervals, and the mean of the paired differences to the baseline, "
+        "the row without one" +
         warnings_of(json);
     table.texts = factors.size();
     for (const auto& factor : factors) table.columns.push_back({factor, factor, "", 0});
@@ -306,16 +374,69 @@ void add_prediction(const ordered_json& json, std::vector<PaperTable>& tables) {
   }
 }
 
+/// The comparisons of each test: those of one quantity and bound in a row.
+PaperTable physics_summary(const ordered_json& rows) {
+  PaperTable table{"physics-summary",
+                   "Tests by the errors of their comparisons, as the bound counts them",
+                   {{"test", "test", "", 0},
+                    {"quantity", "quantity", "", 0},
+                    {"comparisons", "comparisons", "", 0},
+                    {"within", "within bound", "", 0},
+                    {"median", "median error", "", kErrorDigits},
+                    {"largest", "largest error", "", kErrorDigits},
+                    {"bound", "bound", "", kErrorDigits}},
+                   {},
+                   2};
+  std::vector<std::vector<double>> errors;
+  for (const auto& row : rows) {
+    const auto is_of = [&](const std::vector<ordered_json>& one) {
+      return one[0] == row.at("test") && one[1] == row.at("quantity") && one[6] == number_at(row, "bound");
+    };
+    auto found = std::find_if(table.rows.begin(), table.rows.end(), is_of);
+    if (found == table.rows.end()) {
+      table.rows.push_back({row.at("test"), row.at("quantity"), 0, 0, nullptr, nullptr, number_at(row, "bound")});
+      errors.emplace_back();
+      found = std::prev(table.rows.end());
+    }
+    (*found)[2] = (*found)[2].get<int>() + 1;
+    (*found)[3] = (*found)[3].get<int>() + (row.at("passed").get<bool>() ? 1 : 0);
+    if (const auto error = number_at(row, "error"); !error.is_null())
+      errors[found - table.rows.begin()].push_back(error.get<double>());
+  }
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    if (errors[i].empty()) continue;
+    std::sort(errors[i].begin(), errors[i].end());
+    table.rows[i][4] = quantile(errors[i], 0.5);
+    table.rows[i][5] = errors[i].back();
+  }
+  return table;
+}
+
+/// What the properties of the fabric do to the default fold: no closed form, so the values themselves.
+PaperTable physics_properties(const ordered_json& rows) {
+  PaperTable table{"physics-properties",
+                   "How far the settled default fold moves when one property changes, the others at 0.5",
+                   {{"change", "change", "", 0}, {"moves", "moves by, mm", "mm", PaperColumn::kSignificant}},
+                   {},
+                   1};
+  for (const auto& row : rows)
+    if (row.at("test") == "properties") table.rows.push_back({row.at("case"), number_at(row, "measured")});
+  return table;
+}
+
 void add_physics(const ordered_json& json, std::vector<PaperTable>& tables) {
-  PaperTable table{"physics", "The simulator against closed forms", {}, {}, 3};
-  for (const char* name : {"test", "case", "quantity"}) table.columns.push_back({name, name, "", 0});
+  tables.push_back(physics_summary(json.at("rows")));
+  if (auto properties = physics_properties(json.at("rows")); !properties.rows.empty())
+    tables.push_back(std::move(properties));
+  PaperTable table{"physics", "The simulator against closed forms", {}, {}, 4};
+  for (const char* name : {"test", "case", "variant", "quantity"}) table.columns.push_back({name, name, "", 0});
   for (const char* name : {"reference", "measured", "error", "bound"})
     table.columns.push_back({name, name, "", PaperColumn::kSignificant});
   table.columns.push_back({"within", "within", "", 0});
   for (const auto& row : json.at("rows")) {
-    table.rows.push_back({row.at("test"), row.at("case"), row.at("quantity"), number_at(row, "reference"),
-                          number_at(row, "measured"), number_at(row, "error"), number_at(row, "bound"),
-                          row.at("passed").get<bool>() ? "yes" : "no"});
+    table.rows.push_back({row.at("test"), row.at("case"), row.at("variant"), row.at("quantity"),
+                          number_at(row, "reference"), number_at(row, "measured"), number_at(row, "error"),
+                          number_at(row, "bound"), row.at("passed").get<bool>() ? "yes" : "no"});
   }
   tables.push_back(std::move(table));
 }
@@ -362,7 +483,10 @@ std::string line_of(const std::vector<std::string>& row, const char* begin, cons
 /// The line of a table's heads, or of one of its rows.
 std::vector<std::string> heads_of(const PaperTable& table) {
   std::vector<std::string> heads;
-  for (const auto& column : table.columns) heads.push_back(column.head);
+  for (const auto& [name, head, unit, digits] : table.columns) {
+    const std::string end = unit.empty() ? "" : ", " + unit;
+    heads.push_back(head.ends_with(end) ? head : head + end);
+  }
   return heads;
 }
 std::vector<std::string> texts_of(const PaperTable& table, const std::vector<ordered_json>& row) {

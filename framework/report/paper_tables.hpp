@@ -8,12 +8,13 @@
 namespace weft {
 
 struct PaperColumn {
-  static constexpr int kSignificant = -1;  ///< four significant digits
+  static constexpr int kSignificant = -1;     ///< four significant digits
+  static constexpr int kTwoSignificant = -2;  ///< two
 
   std::string name;  ///< "median_95": unique in its table
-  std::string head;  ///< "95 %": what the table shows
+  std::string head;  ///< "95 %": what the table shows; the unit comes after it
   std::string unit;  ///< of the numbers; empty: none
-  int digits = 0;    ///< after the point
+  int digits = 0;    ///< after the point, or one of the constants
 };
 
 struct PaperTable {

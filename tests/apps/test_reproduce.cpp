@@ -19,6 +19,7 @@ using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
+using ::testing::StartsWith;
 
 constexpr const char* kPart = "optimisers-simulator";
 
@@ -106,6 +107,8 @@ TEST(Reproduce, TheSmallestPartOfQuickGoesOnAfterBeingStoppedAndKilled) {
 
   // The printed command alone gives the same rows.
   std::string printed = weft_command(std::string("reproduce ") + kPart + " --quick --dry-run").output;
+  EXPECT_THAT(printed, StartsWith("# about "));
+  printed.erase(0, printed.find('\n') + 1);
   const std::string standard = "results/reproduce-quick/optimisers-simulator/held_out";
   EXPECT_EQ(measured["steps"][0]["commands"][0].get<std::string>() + "\n", printed);
   ASSERT_THAT(printed,

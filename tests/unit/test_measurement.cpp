@@ -1,6 +1,7 @@
 // Measurements, what documents show of them, and the file that says what is measured.
 #include "report/measurement.hpp"
 
+#include "experiments/ablation.hpp"
 #include "experiments/reproduction.hpp"
 #include "identity/sha256.hpp"
 #include "test_support.hpp"
@@ -15,6 +16,7 @@ using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using ::testing::SizeIs;
 
 ordered_json measurement(const std::string& model_hash) {
@@ -47,7 +49,7 @@ ordered_json measurement(const std::string& model_hash) {
 }
 
 constexpr const char* kTable =
-    "| arm | n | median | 95 % |\n|---|---:|---:|---:|\n| w = 0.1 | 50 | 2.35 | [1.0, 3.3] |\n| a, b | 49 |  |  |\n";
+    "| arm | n | median, mm | 95 %, mm |\n|---|---:|---:|---:|\n| w = 0.1 | 50 | 2.35 | [1.0, 3.3] |\n| a, b | 49 |  |  |\n";
 
 TEST(Measurement, ThePageIsMadeOfTheJsonAlone) {
   const auto json = measurement("abcdef0123456789");
@@ -59,6 +61,30 @@ TEST(Measurement, ThePageIsMadeOfTheJsonAlone) {
       "## Held-out goals\n\n```sh\nweft evaluate planning tshirt.yaml\n```\n\nError in mm.\n\n" +
           std::string(kTable) +
           "\n<!-- Made of fig3.json by `weft reproduce --pages`: change that, not this page. -->\n");
+}
+
+TEST(Measurement, StillsOfASessionStandBesideEachOther) {
+  ordered_json json = measurement("");
+  const auto still = [](const char* session, const char* title) -> ordered_json {
+    return {
+        {"step", "held_out"}, {"title", title}, {"file", std::string(session) + title + ".png"}, {"session", session}};
+  };
+  json["figures"] = {{{"step", "held_out"}, {"title", "planning"}, {"file", "planning.svg"}},
+                     {{"step", "paper"}, {"title", "other"}, {"file", "other.svg"}},
+                     still("s1", "f0"),
+                     still("s1", "f9"),
+                     still("s2", "f0")};
+  EXPECT_THAT(measurement_page(json), HasSubstr("\n\n![planning](planning.svg)\n\n"
+                                                "| session |  |  |\n|---|---|---|\n"
+                                                "| s1 | ![f0](s1f0.png) | ![f9](s1f9.png) |\n"
+                                                "| s2 | ![f0](s2f0.png) |\n\n<!-- Made of "));
+}
+
+TEST(Measurement, AQuickPageSaysWhatItIsFor) {
+  ordered_json json = measurement("");
+  EXPECT_THAT(measurement_page(json), Not(HasSubstr("too few cases")));
+  json["size"] = "quick";
+  EXPECT_THAT(measurement_page(json), HasSubstr("too few cases"));
 }
 
 TEST(Measurement, MarksInDocumentsBecomeTablesAndNumbers) {
@@ -200,7 +226,7 @@ constexpr const char* kParts = R"(
   sweep: {steps: {one: {config: a.yaml, seed: 7, set: {planning.noise: 0.5, goal: {obj: a b}}, full: {cases: 9}, quick: {cases: 2}}}}
   again: {steps: {other: {results: sweep/one, quick: {}}}}
   physics: {steps: {cloth: {command: evaluate physics, config: p.yaml, seed: 3, quick: {cases: 4}}}}
-  runs: {steps: {some: {command: run, config: t.yaml, seed: 3, stills: ["0", last], quick: {cases: 2}}}}
+  runs: {steps: {some: {command: run, config: t.yaml, seed: 3, stills: ["0", last], still_size: 80x50, quick: {cases: 2}}}}
   late: {steps: {one: {config: a.yaml, full: {}}}}
 )";
 
@@ -218,9 +244,9 @@ TEST(Reproduction, StepsBecomeCommandsAfterThoseThatTheyNeed) {
           "weft ablate a.yaml --seed 7 --set seeds.count=2 --set planning.noise=0.5 --set 'goal={\"obj\":\"a b\"}' --out out/sweep/one",
           "weft evaluate physics p.yaml --set physics.folds.first_seed=3 --set physics.folds.count=4 --out out/physics/cloth",
           "weft run t.yaml --seed 3 --out out/runs/some/seed-3",
-          "weft export out/runs/some/seed-3 --png 0,last --out out/runs/some/seed-3/stills",
+          "weft export out/runs/some/seed-3 --png 0,last --size 80x50 --out out/runs/some/seed-3/stills",
           "weft run t.yaml --seed 4 --out out/runs/some/seed-4",
-          "weft export out/runs/some/seed-4 --png 0,last --out out/runs/some/seed-4/stills"));
+          "weft export out/runs/some/seed-4 --png 0,last --size 80x50 --out out/runs/some/seed-4/stills"));
 }
 
 TEST(Reproduction, PartsAreChosenByNameAndSize) {
@@ -231,6 +257,29 @@ TEST(Reproduction, PartsAreChosenByNameAndSize) {
       AllOf(HasSubstr("'planing' is no part, must be one of data, planning, "), HasSubstr("; nearest: planning")));
   EXPECT_EQ(message_of<ConfigError>([&] { chosen_parts(all, {"late"}); }),
             "part late is left out by --quick; it is in --full");
+}
+
+TEST(Reproduction, TheExpectedTimeIsThatOfTheStepsOnSomeProcessors) {
+  const Reproduction all = read(
+      "  a: {steps: {s: {config: x.yaml, quick: {cpu_minutes: 100}}, t: {results: a/s, quick: {}}}}\n"
+      "  b: {steps: {s: {config: x.yaml, quick: {cpu_minutes: 20.5}}}}\n"
+      "  c: {steps: {s: {config: x.yaml, quick: {}}}}");
+  const auto time = [&](const std::vector<std::string>& parts, int processors) {
+    return expected_time(steps_of(all, chosen_parts(all, parts)), processors);
+  };
+  EXPECT_EQ(time({}, 1), "about 2.0 hours of CPU time, 2.0 hours on 1 processor, without c/s, whose time is unknown");
+  EXPECT_EQ(time({"b"}, 2), "about 21 minutes of CPU time, 11 minutes on 2 processors");
+  EXPECT_EQ(time({"b"}, 30), "about 21 minutes of CPU time, 1 minute on 30 processors");
+  EXPECT_EQ(time({"c"}, 2), "");
+}
+
+/// The ablation of a step as its command reads it, with every --set.
+void read_ablation_of(const ReproductionStep& step) {
+  ConfigNode config = ConfigNode::load(step.params.config);
+  const auto words = commands_of(step, "out").front().words;
+  for (std::size_t i = 0; i + 1 < words.size(); ++i)
+    if (words[i] == "--set") config = apply_override(config, words[i + 1]);
+  read_ablation(config);
 }
 
 TEST(Reproduction, EverySizeOfTheShippedFileCanBeRead) {
@@ -245,8 +294,10 @@ TEST(Reproduction, EverySizeOfTheShippedFileCanBeRead) {
       EXPECT_GE(parts.size(), quick);
     }
     for (const auto* step : steps_of(all, parts)) {
-      if (step->params.results.empty()) {
-        EXPECT_TRUE(fs::exists(step->params.config)) << step->label();
+      if (!step->params.results.empty()) continue;
+      EXPECT_TRUE(fs::exists(step->params.config)) << step->label();
+      if (step->params.command == "ablate") {
+        EXPECT_NO_THROW(read_ablation_of(*step)) << step->label();
       }
     }
   }

@@ -6,6 +6,7 @@
 namespace weft::test {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
@@ -23,22 +24,36 @@ TEST(PaperTables, AnAblationAsMarkdownAndLatex) {
   ASSERT_EQ(tables.size(), 1u);
   EXPECT_EQ(
       markdown_of(tables),
-      "error_mm: mean and median with the bootstrap's 95 % intervals, and the mean of the paired differences to the "
-      "baseline.\n\n"
-      "| optimiser | n | failed | mean | 95 % | median | 95 % | difference | 95 % |\n"
+      "error_mm (mean vertex distance from the goal after settling): mean and median with the bootstrap's 95 % intervals, "
+      "and the mean of the paired differences to the baseline, the row without one.\n\n"
+      "| optimiser | n | failed | mean, mm | 95 %, mm | median, mm | 95 %, mm | difference, mm | 95 %, mm |\n"
       "|---|---:|---:|---:|---:|---:|---:|---:|---:|\n"
       "| rprop | 20 | 0 | 12.3 | [11.0, 13.5] | 10.5 | [9.5, 12.0] |  |  |\n"
       "| a\\|b & 50 % | 19 | 1 | 14.0 |  |  |  | -1.5 | [-2.0, -1.0] |\n");
-  EXPECT_EQ(latex_of(tables),
-            "% Tables of weft; they need \\usepackage{booktabs}.\n\n"
-            "\\begin{table}\n  \\centering\n"
-            "  \\caption{error\\_mm: mean and median with the bootstrap's 95 \\% intervals, and the mean of the paired "
-            "differences to the baseline.}\n"
-            "  \\label{tab:ablation-error-mm}\n  \\begin{tabular}{lrrrrrrrr}\n    \\toprule\n"
-            "    optimiser & n & failed & mean & 95 \\% & median & 95 \\% & difference & 95 \\% \\\\\n    \\midrule\n"
-            "    rprop & 20 & 0 & 12.3 & [11.0, 13.5] & 10.5 & [9.5, 12.0] &  &  \\\\\n"
-            "    a$\\vert$b \\& 50 \\% & 19 & 1 & 14.0 &  &  &  & $-$1.5 & [$-$2.0, $-$1.0] \\\\\n"
-            "    \\bottomrule\n  \\end{tabular}\n\\end{table}\n");
+  EXPECT_EQ(
+      latex_of(tables),
+      "% Tables of weft; they need \\usepackage{booktabs}.\n\n"
+      "\\begin{table}\n  \\centering\n"
+      "  \\caption{error\\_mm (mean vertex distance from the goal after settling): mean and median with the "
+      "bootstrap's 95 \\% intervals, and the mean of the paired differences to the baseline, the row without one.}\n"
+      "  \\label{tab:ablation-error-mm}\n  \\begin{tabular}{lrrrrrrrr}\n    \\toprule\n"
+      "    optimiser & n & failed & mean, mm & 95 \\%, mm & median, mm & 95 \\%, mm & difference, mm & 95 \\%, mm \\\\\n    \\midrule\n"
+      "    rprop & 20 & 0 & 12.3 & [11.0, 13.5] & 10.5 & [9.5, 12.0] &  &  \\\\\n"
+      "    a$\\vert$b \\& 50 \\% & 19 & 1 & 14.0 &  &  &  & $-$1.5 & [$-$2.0, $-$1.0] \\\\\n"
+      "    \\bottomrule\n  \\end{tabular}\n\\end{table}\n");
+}
+
+TEST(PaperTables, SmallMeansBesideLargeOnesKeepTwoDigits) {
+  const Folder folder;
+  const auto arm = [](const std::string& name, const std::string& mean) {
+    return R"({"name": ")" + name + R"(", "levels": {"a": ")" + name +
+           R"("}, "failed": [], "metrics": {"loss": {"n": 1, "mean": )" + mean + "}}}";
+  };
+  folder.write("ablation.json", R"({"factors": ["a"], "arms": [)" + arm("x", "4.44") + ", " + arm("y", "881.2") + "]}");
+  EXPECT_THAT(markdown_of(paper_tables(folder.path())), AllOf(HasSubstr("| 4.4 |"), HasSubstr("| 881.2 |")));
+  folder.write("ablation.json",
+               R"({"factors": ["a"], "arms": [)" + arm("x", "0.0444") + ", " + arm("y", "881.2") + "]}");
+  EXPECT_THAT(markdown_of(paper_tables(folder.path())), AllOf(HasSubstr("| 0.0 |"), HasSubstr("| 881.2 |")));
 }
 
 TEST(PaperTables, EvaluationsHaveTheirTables) {
@@ -60,8 +75,9 @@ TEST(PaperTables, EvaluationsHaveTheirTables) {
   folder.write("prediction.json",
                R"({"by_step": [{"steps": 1, "n": 9, "mean_mm": 0.5, "median_mm": 0.4, "sigma_mm": 0.6,
       "nll": -1.25, "coverage_1sigma": 0.7}]})");
-  folder.write("physics.json",
-               R"({"rows": [{"test": "hanging", "case": "strip", "quantity": "length, m", "reference": 1.5,
+  folder.write(
+      "physics.json",
+      R"({"rows": [{"test": "hanging", "case": "strip", "variant": "finer", "quantity": "length, m", "reference": 1.5,
       "measured": 1.50001, "error": null, "bound": 0.01, "passed": true}]})");
   const std::string text = markdown_of(paper_tables(folder.path()));
   EXPECT_THAT(text, HasSubstr("(goals: fresh); not all cells have run.\n"));
@@ -77,8 +93,52 @@ TEST(PaperTables, EvaluationsHaveTheirTables) {
   EXPECT_THAT(text, HasSubstr("| 0 | 2 | 0.000 | 1.000 | 100 | 0.150 | 1.000 | 100 |"));
   EXPECT_THAT(text, HasSubstr("| 1 | 1 | 0.100 | 0.200 | 0 | 0.000 | 0.100 | 100 |"));
   EXPECT_THAT(text, HasSubstr("| 1 | 9 | 0.50 | 0.40 | 0.60 | -1.250 | 70 |\n"));
-  EXPECT_THAT(text, HasSubstr("| hanging | strip | length, m | 1.5 | 1.5 |  | 0.01 | yes |\n"));
+  EXPECT_THAT(text, HasSubstr("| hanging | strip | finer | length, m | 1.5 | 1.5 |  | 0.01 | yes |\n"));
   EXPECT_THAT(latex_of(paper_tables(folder.path())), HasSubstr("median $\\vert$c - q$\\vert$"));
+}
+
+TEST(PaperTables, ThePhysicsSuiteIsSummedUpByTestQuantityAndBound) {
+  const Folder folder;
+  folder.write("physics.json", R"({"rows": [
+    {"test": "elastica", "case": "5 mm", "variant": "default", "quantity": "drop/L", "error": 0.0256, "bound": 0.03, "passed": true},
+    {"test": "elastica", "case": "20 mm", "variant": "default", "quantity": "drop/L", "error": 0.001, "bound": 0.06, "passed": true},
+    {"test": "elastica", "case": "6 mm", "variant": "default", "quantity": "drop/L", "error": 0.031, "bound": 0.03, "passed": false},
+    {"test": "elastica", "case": "7 mm", "variant": "default", "quantity": "drop/L", "error": null, "bound": 0.03, "passed": false},
+    {"test": "properties", "case": "bend from 0 to 1", "variant": "default", "quantity": "settled shape moves mm", "measured": 21.484,
+     "error": 0.05, "bound": 1, "passed": true}]})");
+  const auto tables = paper_tables(folder.path());
+  ASSERT_EQ(tables.size(), 3u);
+  EXPECT_EQ(tables[0].label, "physics-summary");
+  EXPECT_EQ(markdown_of(tables[0]),
+            "| test | quantity | comparisons | within bound | median error | largest error | bound |\n"
+            "|---|---|---:|---:|---:|---:|---:|\n"
+            "| elastica | drop/L | 3 | 1 | 0.028 | 0.031 | 0.03 |\n"
+            "| elastica | drop/L | 1 | 1 | 0.001 | 0.001 | 0.06 |\n"
+            "| properties | settled shape moves mm | 1 | 1 | 0.05 | 0.05 | 1 |\n");
+  EXPECT_EQ(tables[1].label, "physics-properties");
+  EXPECT_EQ(markdown_of(tables[1]), "| change | moves by, mm |\n|---|---:|\n| bend from 0 to 1 | 21.48 |\n");
+}
+
+TEST(PaperTables, AnAblationOfThePhysicsSuiteTellsWhatEachArmIsWithinAndRefuses) {
+  const Folder folder;
+  folder.write("ablation.json",
+               R"({"factors": ["simulator"], "cases": ["incline, mu 0.1", "incline, mu 0.3", "inclined", "folds"],
+    "arms": [
+    {"name": "cloth", "levels": {"simulator": "cloth"}, "failed": [], "metrics": {
+      "incline: motion, m": {"n": 2, "mean": 0.2, "median": 0.2, "largest": 0.3}, "incline: within bounds": {"n": 2, "mean": 1.0},
+      "folds: distance, mm": {"n": 0, "mean": null, "median": null, "largest": null}, "folds: within bounds": {"n": 1, "mean": 1.0}}},
+    {"name": "bullet", "levels": {"simulator": "bullet"}, "failed": [{"seed": 1}, {"seed": 2}], "metrics": {
+      "incline: motion, m": {"n": 1, "mean": 4, "median": 4, "largest": 4}, "incline: within bounds": {"n": 1, "mean": 0.0},
+      "folds: distance, mm": {"n": 1, "mean": 3, "median": 3, "largest": 3}, "folds: within bounds": {"n": 1, "mean": 1.0}}}]})");
+  const auto tables = paper_tables(folder.path());
+  ASSERT_GE(tables.size(), 2u);
+  EXPECT_EQ(tables[1].label, "ablation-physics");
+  EXPECT_EQ(markdown_of(tables[1]),
+            "| test | quantity | simulator | cases | within | failed | median | largest |\n"
+            "|---|---|---|---:|---:|---:|---:|---:|\n"
+            "| incline | motion, m | cloth | 2 | 2 | 0 | 0.2 | 0.3 |\n"
+            "| incline | motion, m | bullet | 2 | 0 | 1 | 4 | 4 |\n"
+            "| folds | distance, mm | bullet | 1 | 1 | 0 | 3 | 3 |\n");
 }
 
 TEST(PaperTables, AnAblationOfThePhysicsSuiteHasOneTableOfAllMetrics) {
@@ -87,7 +147,7 @@ TEST(PaperTables, AnAblationOfThePhysicsSuiteHasOneTableOfAllMetrics) {
     {"name": "cloth", "levels": {"simulator": "cloth"}, "failed": [], "metrics": {"free fall: error": {"n": 1, "mean": 0.000125}}},
     {"name": "bullet", "levels": {"simulator": "bullet"}, "failed": [], "metrics": {}}]})");
   const auto tables = paper_tables(folder.path());
-  ASSERT_EQ(tables.size(), 2u);
+  ASSERT_EQ(tables.size(), 3u);
   EXPECT_EQ(tables[0].label, "ablation-summary");
   EXPECT_EQ(markdown_of(tables[0]),
             "| metric | cloth | bullet |\n|---|---:|---:|\n| free fall: error | 0.000125 |  |\n");
