@@ -136,18 +136,30 @@ struct Hdf5File::Impl {
   fs::path file;
   bool is_writer = false;
   hid_t id = -1;
+  // What was opened last stays open, because shape, type and values are mostly asked for one after the other.
+  mutable std::string last_path;
+  mutable hid_t last_set = -1;
 
   ~Impl() {
     const Lock lock(library_mutex());
+    close();
+  }
+  void close() {
+    if (last_set >= 0) H5Dclose(last_set);
     if (id >= 0) H5Fclose(id);
+    last_set = id = -1;
   }
   [[noreturn]] void fail(const std::string& path, const std::string& message) const {
     throw ConfigError(file.string() + ": " + path + " " + message);
   }
+  /// @return valid until the next call; not to be closed.
   hid_t open_dataset(const std::string& path) const {
-    const hid_t set = H5Dopen2(id, path.c_str(), dataset_access());
-    if (set < 0) fail(path, "is missing");
-    return set;
+    if (last_set >= 0 && path == last_path) return last_set;
+    if (last_set >= 0) H5Dclose(last_set);
+    last_set = H5Dopen2(id, path.c_str(), dataset_access());
+    if (last_set < 0) fail(path, "is missing");
+    last_path = path;
+    return last_set;
   }
   bool exists(const std::string& path) const {
     // HDF5 can check a path only step by step: each step must exist before the next is checked.
@@ -170,12 +182,14 @@ struct Hdf5File::Impl {
   /// A shape says how much memory reading takes, and costs nothing to write. So the file must hold the data as well.
   /// @param bytes of the data, without compression.
   void require_stored(hid_t set, const std::string& path, hsize_t bytes) const {
-    const Handle options(H5Dget_create_plist(set), H5Pclose);
-    const auto layout = H5Pget_layout(options);
-    if (layout == H5D_VIRTUAL || H5Pget_external_count(options) > 0) fail(path, "keeps its data in another file");
     hsize_t size = 0;
     H5Fget_filesize(id, &size);
     const hsize_t stored = std::min(H5Dget_storage_size(set), size);
+    // Most arrays have a place in the file. Only one that is neither in chunks, nor compressed, nor in another file has.
+    if (bytes <= stored && H5Dget_offset(set) != HADDR_UNDEF) return;
+    const Handle options(H5Dget_create_plist(set), H5Pclose);
+    const auto layout = H5Pget_layout(options);
+    if (layout == H5D_VIRTUAL || H5Pget_external_count(options) > 0) fail(path, "keeps its data in another file");
     const hsize_t most = H5Pget_nfilters(options) > 0 ? stored * kLargestExpansion : stored;
     if (bytes > most) {
       fail(path, "has " + std::to_string(bytes) + " bytes by its shape, but the file holds " + std::to_string(stored) +
@@ -193,7 +207,7 @@ struct Hdf5File::Impl {
   template <class T>
   std::vector<T> read(const std::string& path, hid_t type, std::size_t max_elements) const {
     const Lock lock(library_mutex());
-    const Handle set(open_dataset(path), H5Dclose);
+    const hid_t set = open_dataset(path);
     const Handle stored(H5Dget_type(set), H5Tclose);
     const auto kind = H5Tget_class(stored);
     if (kind != H5T_INTEGER && kind != H5T_FLOAT) fail(path, "is not an array of numbers");
@@ -317,8 +331,7 @@ void Hdf5File::commit() {
   if (size > 0) image.resize(static_cast<std::size_t>(size));
   good = size > 0 && H5Fget_file_image(impl_->id, image.data(), image.size()) == size;
   const std::string failure = last_failure();
-  H5Fclose(impl_->id);
-  impl_->id = -1;
+  impl_->close();
   if (!good) throw Error(impl_->file.string() + ": cannot be written: " + failure);
   write_text(impl_->file, image);
 }
@@ -348,13 +361,13 @@ std::vector<std::string> Hdf5File::list(const std::string& group) const {
 
 std::vector<Index> Hdf5File::shape(const std::string& path) const {
   const Lock lock(library_mutex());
-  const Handle set(impl_->open_dataset(path), H5Dclose);
+  const hid_t set = impl_->open_dataset(path);
   return impl_->shape(set, path);
 }
 
 std::optional<std::uint64_t> Hdf5File::place(const std::string& path) const {
   const Lock lock(library_mutex());
-  const Handle set(impl_->open_dataset(path), H5Dclose);
+  const hid_t set = impl_->open_dataset(path);
   const Handle type(H5Dget_type(set), H5Tclose);
   const Handle options(H5Dget_create_plist(set), H5Pclose);
   if (H5Pget_layout(options) != H5D_CONTIGUOUS || H5Pget_external_count(options) > 0) return std::nullopt;
@@ -373,7 +386,7 @@ std::vector<double> Hdf5File::read(const std::string& path, std::size_t max_elem
 std::vector<float> Hdf5File::read_float(const std::string& path, std::size_t max_elements) const {
   const Lock lock(library_mutex());
   const Handle half(half_type(), H5Tclose);
-  if (H5Tequal(Handle(H5Dget_type(Handle(impl_->open_dataset(path), H5Dclose)), H5Tclose), half) <= 0)
+  if (H5Tequal(Handle(H5Dget_type(impl_->open_dataset(path)), H5Tclose), half) <= 0)
     return impl_->read<float>(path, H5T_NATIVE_FLOAT, max_elements);
   // libhdf5 converts them bit by bit, which takes 0.1 us a number.
   const auto bits = impl_->read<std::uint16_t>(path, half, max_elements);
@@ -387,7 +400,7 @@ std::vector<std::int64_t> Hdf5File::read_int(const std::string& path, std::size_
 
 std::string Hdf5File::read_text(const std::string& path) const {
   const Lock lock(library_mutex());
-  const Handle set(impl_->open_dataset(path), H5Dclose);
+  const hid_t set = impl_->open_dataset(path);
   const Handle type(H5Dget_type(set), H5Tclose);
   const Handle space(H5Dget_space(set), H5Sclose);
   constexpr std::size_t kLongest = 64u << 20;

@@ -23,13 +23,15 @@ std::string bytes_of(const fs::path& file) {
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 
-/// A process that opens the files that it is told: this program's neighbour (replay.cpp).
+/// A process that opens the files that it is told: this program's neighbour (replay.cpp). What is too large to allocate is null to
+/// libhdf5, as without a sanitizer; operator new, which weft's own code uses, ends the process all the same.
 std::unique_ptr<ChildProcess> start_reader() {
   ChildOptions options;
   options.command = {(fs::read_symlink("/proc/self/exe").parent_path() / "weft_fuzz_inputs").string(), "--serve"};
   options.environment = {
       {"ASAN_OPTIONS",
-       "detect_leaks=0:max_allocation_size_mb=256:handle_abort=1:malloc_context_size=2:quarantine_size_mb=16"}};
+       "detect_leaks=0:max_allocation_size_mb=256:allocator_may_return_null=1:handle_abort=1:malloc_context_size=2:"
+       "quarantine_size_mb=16:allocator_release_to_os_interval_ms=-1"}};
   options.own_group = true;
   options.keep_errors = true;
   return std::make_unique<ChildProcess>(options);

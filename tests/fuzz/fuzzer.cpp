@@ -55,10 +55,13 @@ extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
     std::exit(2);
   }
   // The timeout is in seconds of the wall, beside whatever else the machine does; an input takes a millisecond.
+  // Without -detect_leaks=0 an input that leaves an allocation, as caches do, runs twice. With -entropic=1 a third of the time goes
+  // into the bookkeeping of rare features, and no more code was reached.
   // Options of the command line come later and win.
   static std::vector<std::string> defaults = {
-      "-max_len=2048",        "-malloc_limit_mb=64",  "-rss_limit_mb=1024", "-timeout=300",  "-dict=" + dictionary(),
-      "-print_final_stats=1", "-use_value_profile=0", "-reload=0",          "-print_funcs=0"};
+      "-max_len=2048",         "-malloc_limit_mb=64",  "-rss_limit_mb=1024",   "-timeout=300",
+      "-dict=" + dictionary(), "-print_final_stats=1", "-use_value_profile=0", "-reload=0",
+      "-print_funcs=0",        "-detect_leaks=0",      "-entropic=0"};
   for (std::size_t i = 0; i < defaults.size(); ++i)
     arguments.insert(arguments.begin() + 1 + static_cast<std::ptrdiff_t>(i), defaults[i].data());
   *argc = static_cast<int>(arguments.size());
