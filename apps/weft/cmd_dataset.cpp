@@ -11,6 +11,7 @@
 #include "learning/generate.hpp"
 #include "loader/processors.hpp"
 #include "options.hpp"
+#include "output.hpp"
 #include "sdk/json_text.hpp"
 #include "weft/dataset.hpp"
 
@@ -164,16 +165,26 @@ int check(const Context& context, const std::string& folder) {
   return bad == 0 ? 0 : 1;
 }
 
+/// For work that the user may stop, which then leaves nothing.
+Cancelled until_stopped(const Context& context) {
+  Context::catch_signals();
+  return [flag = context.cancel_flag()] { return flag->load(); };
+}
+
 int merge(const Context& context, const std::vector<std::string>& folders) {
   if (context.out.empty()) throw ConfigError("weft dataset merge: --out FOLDER is required");
-  const std::int64_t files = merge_datasets({folders.begin(), folders.end()}, context.out);
+  const Cancelled cancelled = until_stopped(context);
+  const PlacedFolder placed(context.out);
+  const std::int64_t files = merge_datasets({folders.begin(), folders.end()}, context.out, cancelled);
   context.say(std::to_string(files) + " files in " + context.out);
   return 0;
 }
 
 int split(const Context& context, const std::string& folder) {
   if (context.out.empty()) throw ConfigError("weft dataset split: --out FOLDER is required");
-  const auto counts = split_dataset(folder, context.out);
+  const Cancelled cancelled = until_stopped(context);
+  const PlacedFolder placed(context.out);
+  const auto counts = split_dataset(folder, context.out, cancelled);
   if (context.json) {
     context.output() << ordered_json{{"train", counts[0]}, {"validation", counts[1]}, {"test", counts[2]}}.dump(2)
                      << '\n';

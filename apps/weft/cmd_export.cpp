@@ -106,12 +106,12 @@ int run_export(Context& context, ExportOptions options) {
   const bool pictures = !stills.empty() || options.wants("webp");
   // One output may be named; several go into a folder.
   const bool one = options.formats.size() + stills.size() == 1;
-  const fs::path folder = !context.out.empty() && !one ? fs::path(context.out) : file.parent_path();
+  const bool is_named = one && !context.out.empty();
+  const fs::path folder = context.out.empty() ? file.parent_path()
+                          : one               ? fs::path(context.out).parent_path()
+                                              : fs::path(context.out);
   if (!folder.empty()) make_writable_folder(folder);
-  const auto target = [&](const fs::path& name) {
-    return one && !context.out.empty() ? fs::path(context.out) : folder / name;
-  };
-  if (one && fs::path(context.out).has_parent_path()) make_writable_folder(fs::path(context.out).parent_path());
+  const auto target = [&](const fs::path& name) { return is_named ? fs::path(context.out) : folder / name; };
 
   const auto timeline = every_nth(session, options.every);
   for (const auto& format : options.formats) {

@@ -130,8 +130,10 @@ int write_plugin(const Context& context, const NewPlugin& wanted) {
       {name + ".cpp", filled(fs::path(kind) / "head.in") + source},
       {"test_" + name + ".cpp", filled(fs::path(kind) / "test.cpp.in")},
   };
-  make_writable_folder(folder);
-  for (const auto& [file, text] : files) write_text(folder / file, text);
+  const PlacedFolder placed(folder);
+  const TemporaryFolder made(folder);  // all of them or none: a folder that is not empty is refused
+  for (const auto& [file, text] : files) write_text(made.path() / file, text);
+  for (const auto& [file, text] : files) fs::rename(made.path() / file, folder / file);
 
   const std::string source_folder = shell_word(folder.string()), build = shell_word((folder / "build").string());
   context.say(folder.string() + ": a " + kind +

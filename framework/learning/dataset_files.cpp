@@ -330,8 +330,12 @@ std::string shard_name(std::int64_t number) {
   return text;
 }
 
-std::vector<fs::path> list_shards(const fs::path& folder) {
-  if (!fs::is_directory(folder)) refuse(folder, "is not a folder");
+namespace {
+
+/// Where the files of a merge or split lie while they are made, and while they are moved to their place.
+constexpr const char *kUnfinished = ".weft-unfinished", *kMoving = ".weft-moving";
+
+std::vector<fs::path> shards_in(const fs::path& folder) {
   std::vector<fs::path> files;
   for (const auto& entry : fs::directory_iterator(folder)) {
     const auto name = entry.path().filename().string();
@@ -339,6 +343,15 @@ std::vector<fs::path> list_shards(const fs::path& folder) {
   }
   std::sort(files.begin(), files.end());
   return files;
+}
+
+}  // namespace
+
+std::vector<fs::path> list_shards(const fs::path& folder) {
+  if (!fs::is_directory(folder)) refuse(folder, "is not a folder");
+  if (fs::exists(folder / kMoving))
+    refuse(folder, "holds a part of a dataset: `weft dataset` was killed while it wrote it; run that command again");
+  return shards_in(folder);
 }
 
 Dataset load_dataset(const fs::path& folder, std::size_t max_examples, ShapesIn shapes) {
@@ -396,13 +409,18 @@ void append_dataset(Dataset& dataset, Dataset other) {
 
 namespace {
 
+void require_wanted(const Cancelled& cancelled) {
+  if (cancelled && cancelled()) throw Interrupted("interrupted; no dataset was written");
+}
+
 /// Examples of several files, by the number of the file that they belong in.
 std::map<std::int64_t, std::vector<fs::path>> canonical_files(const std::vector<fs::path>& folders,
-                                                              DatasetHeader& header) {
+                                                              DatasetHeader& header, const Cancelled& cancelled) {
   std::map<std::int64_t, std::vector<fs::path>> files;
   bool first = true;
   for (const auto& folder : folders) {
     for (const auto& file : list_shards(folder)) {
+      require_wanted(cancelled);
       const Shard shard = read_shard(file);
       if (first) header = shard.header;
       first = false;
@@ -416,46 +434,65 @@ std::map<std::int64_t, std::vector<fs::path>> canonical_files(const std::vector<
   return files;
 }
 
-/// A new dataset whose files appear together: until finish() they lie in a folder of their own. What a killed process
-/// left there is made again.
+/// A new dataset whose files appear together: until move() they lie in a folder of their own. Until keep() all of it is
+/// taken back when this ends, and a folder that was not there before goes again. What a killed process left is made again.
 class NewDataset {
  public:
+  /// @param was_killed the folder holds a part of a dataset, which is removed.
   /// @throws ConfigError if the folder holds a dataset, or if no file can be written in it.
-  NewDataset(fs::path folder, const std::string& remedy)
-      : folder_(std::move(folder)), unfinished_(folder_ / ".weft-unfinished") {
-    if (fs::is_directory(folder_) && !list_shards(folder_).empty())
+  NewDataset(fs::path folder, const std::string& remedy, bool was_killed)
+      : folder_(std::move(folder)), unfinished_(folder_ / kUnfinished), is_new_(!fs::exists(folder_)) {
+    if (was_killed && !is_new_) {
+      for (const auto& file : shards_in(folder_)) fs::remove(file);
+      fs::remove_all(folder_ / kMoving);
+    } else if (fs::is_directory(folder_) && !shards_in(folder_).empty()) {
       refuse(folder_, "holds a dataset already; " + remedy);
+    }
     make_writable_folder(folder_);
     fs::remove_all(unfinished_);
     make_writable_folder(unfinished_);
   }
   ~NewDataset() {
     std::error_code ignored;
+    for (const auto& file : moved_) fs::remove(file, ignored);
     fs::remove_all(unfinished_, ignored);
+    fs::remove_all(folder_ / kMoving, ignored);
+    if (is_new_) fs::remove(folder_, ignored);  // unless it holds files
   }
   NewDataset(const NewDataset&) = delete;
   NewDataset& operator=(const NewDataset&) = delete;
 
   void add(const fs::path& name, const Shard& shard) const { write_shard(unfinished_ / name, shard); }
-  void finish() const {
-    for (const auto& file : list_shards(unfinished_)) fs::rename(file, folder_ / file.filename());
+  void move() {
+    fs::rename(unfinished_, folder_ / kMoving);
+    for (const auto& file : shards_in(folder_ / kMoving)) {
+      fs::rename(file, folder_ / file.filename());
+      moved_.push_back(folder_ / file.filename());
+    }
+  }
+  void keep() {
+    fs::remove(folder_ / kMoving);
+    moved_.clear();
   }
 
  private:
   fs::path folder_, unfinished_;
+  bool is_new_;
+  std::vector<fs::path> moved_;
 };
 
 }  // namespace
 
-std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& to) {
+std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& to, const Cancelled& cancelled) {
   DatasetHeader header;
-  const auto files = canonical_files(from, header);
-  const NewDataset merging(to, "merge into an empty folder");
+  const auto files = canonical_files(from, header, cancelled);
+  NewDataset merging(to, "merge into an empty folder", fs::exists(to / kMoving));
   for (const auto& [number, sources] : files) {
     std::map<std::int64_t, Example> examples;
     Shard merged;
     merged.header = header;
     for (const auto& source : sources) {
+      require_wanted(cancelled);
       Shard shard = read_shard(source);
       for (auto& e : shard.examples) {
         if (e.index / header.shard_examples != number) continue;
@@ -472,17 +509,22 @@ std::int64_t merge_datasets(const std::vector<fs::path>& from, const fs::path& t
     for (auto& [index, e] : examples) merged.examples.push_back(std::move(e));
     merging.add(shard_name(number), merged);
   }
-  merging.finish();
+  merging.move();
+  merging.keep();
   return static_cast<std::int64_t>(files.size());
 }
 
-std::array<std::int64_t, 3> split_dataset(const fs::path& from, const fs::path& to) {
+std::array<std::int64_t, 3> split_dataset(const fs::path& from, const fs::path& to, const Cancelled& cancelled) {
   const auto files = list_shards(from);
   if (files.empty()) refuse(from, "holds no dataset (no shard-*.h5)");
   std::array<std::int64_t, 3> counts{};
+  // The parts belong together: what was killed while it moved the files of one is made again as a whole.
+  const bool was_killed = std::any_of(std::begin(kSplitNames), std::end(kSplitNames),
+                                      [&](const auto& name) { return fs::exists(to / name / kMoving); });
   std::array<std::optional<NewDataset>, 3> parts;
-  for (std::size_t s = 0; s < 3; ++s) parts[s].emplace(to / kSplitNames[s], "split into an empty folder");
+  for (std::size_t s = 0; s < 3; ++s) parts[s].emplace(to / kSplitNames[s], "split into an empty folder", was_killed);
   for (const auto& file : files) {
+    require_wanted(cancelled);
     Shard shard = read_shard(file);
     for (std::size_t s = 0; s < 3; ++s) {
       Shard part;
@@ -494,7 +536,8 @@ std::array<std::int64_t, 3> split_dataset(const fs::path& from, const fs::path& 
       if (!part.examples.empty()) parts[s]->add(file.filename(), part);
     }
   }
-  for (const auto& part : parts) part->finish();
+  for (auto& part : parts) part->move();
+  for (auto& part : parts) part->keep();
   return counts;
 }
 

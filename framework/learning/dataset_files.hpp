@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "simulation/fold.hpp"
 #include "weft/dataset.hpp"
 
 namespace weft {
@@ -27,7 +28,7 @@ Shard read_shard(const std::filesystem::path& file, ShapesIn shapes = ShapesIn::
 DatasetHeader read_shard_header(const std::filesystem::path& file);
 /// "shard-00012.h5"
 std::string shard_name(std::int64_t number);
-/// The shard files of a folder, sorted. @throws ConfigError if it is not a folder.
+/// The shard files of a folder, sorted. @throws ConfigError if it is not a folder, or if a killed merge or split left a part.
 std::vector<std::filesystem::path> list_shards(const std::filesystem::path& folder);
 
 /// Reads and checks every shard of a folder. If its examples belong to several identities (`weft generate
@@ -41,9 +42,14 @@ Dataset load_dataset(const std::filesystem::path& folder, std::size_t max_exampl
 void append_dataset(Dataset& dataset, Dataset other);
 
 /// Copies the shards of several folders of one dataset into one. @return number of files.
+/// @param cancelled asked before every file.
 /// @throws ConfigError if the datasets differ, or if two folders hold different examples with the same number.
-std::int64_t merge_datasets(const std::vector<std::filesystem::path>& from, const std::filesystem::path& to);
+/// @throws Interrupted if the user asked to stop. Nothing is left then.
+std::int64_t merge_datasets(const std::vector<std::filesystem::path>& from, const std::filesystem::path& to,
+                            const Cancelled& cancelled = {});
 /// Writes each split as a dataset: to/train, to/validation, to/test. @return the number of examples in each.
-std::array<std::int64_t, 3> split_dataset(const std::filesystem::path& from, const std::filesystem::path& to);
+/// @throws ConfigError, Interrupted.
+std::array<std::int64_t, 3> split_dataset(const std::filesystem::path& from, const std::filesystem::path& to,
+                                          const Cancelled& cancelled = {});
 
 }  // namespace weft

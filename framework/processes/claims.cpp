@@ -16,6 +16,7 @@
 #include <random>
 #include <thread>
 
+#include "sdk/files.hpp"
 #include "weft/error.hpp"
 
 namespace weft {
@@ -168,7 +169,7 @@ struct Claims::State {
     if (!written) {
       std::error_code ignored;
       if (opened >= 0) fs::remove(claim, ignored);
-      throw Error(claim.string() + ": cannot be made: " + std::strerror(reason));
+      throw Error(claim.string() + ": cannot be made: " + write_problem(reason));
     }
     observed.erase(name);
     own[name] = content;
@@ -224,7 +225,7 @@ Claims::Claims(fs::path folder) : Claims(std::move(folder), Options()) {}
 Claims::Claims(fs::path folder, Options options) {
   std::error_code problem;
   fs::create_directories(folder, problem);
-  if (!fs::is_directory(folder)) throw Error(folder.string() + ": cannot be made: " + problem.message());
+  if (!fs::is_directory(folder)) throw Error(folder.string() + ": cannot be made: " + write_problem(problem.value()));
   state_ = std::make_unique<State>(std::move(folder), std::move(options));
 }
 

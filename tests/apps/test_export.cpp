@@ -1,6 +1,7 @@
 // weft export: a session is run, written in every format, and each file is read back and compared with session.h5.
 #include <png.h>
 #include <tiny_gltf.h>
+#include <unistd.h>
 #include <webp/demux.h>
 
 #include <Eigen/Geometry>
@@ -180,6 +181,32 @@ TEST_F(Export, AFileThatCannotBeWrittenWholeIsAnError) {
     EXPECT_FALSE(fs::is_regular_file(*folder_ / name)) << name;
     for (const auto& entry : fs::recursive_directory_iterator(folder_->path()))
       EXPECT_EQ(entry.path().filename().string().find(".tmp"), std::string::npos) << entry.path();
+  }
+}
+
+TEST_F(Export, ASessionThatMayOnlyBeReadIsExportedElsewhere) {
+  const fs::path session = *folder_ / "shared", out = *folder_ / "mine";
+  for (const auto& made : {session, out}) fs::create_directory(made);
+  fs::copy_file(run_folder() / "session.h5", session / "session.h5");
+  fs::permissions(folder_->path(), fs::perms(0755));
+  fs::permissions(session, fs::perms(0555));
+  fs::permissions(out, fs::perms(0777));
+  // Root may write anywhere, so the command runs as somebody else, unless weft lies where only root may read.
+  std::string user = geteuid() == 0 ? "setpriv --reuid=65534 --regid=65534 --clear-groups " : "";
+  if (test::run_shell(user + "test -r '" WEFT_PROGRAM "'").code != 0) user = "";
+  const auto exported = [&](const std::string& arguments) {
+    return test::run_shell("unset WEFT_PLUGIN_PATH; cd /; " + user + "'" WEFT_PROGRAM "' export '" + session.string() +
+                           "' --quiet --every 40 " + arguments);
+  };
+  for (const std::string& to :
+       {"--to csv --out '" + (out / "csv").string() + "'", "--to gltf --out '" + (out / "fold.glb").string() + "'",
+        "--to csv --to usd --out '" + (out / "both").string() + "'"}) {
+    const Outcome outcome = exported(to);
+    EXPECT_EQ(outcome.code, 0) << to << outcome.output;
+  }
+  EXPECT_TRUE(fs::exists(out / "csv") && fs::exists(out / "fold.glb") && fs::exists(out / "both"));
+  if (!user.empty() || geteuid() != 0) {
+    EXPECT_THAT(exported("--to csv").output, HasSubstr("shared: no file can be written in this folder: "));
   }
 }
 

@@ -385,6 +385,13 @@ TEST(Program, ResultsOfAnotherCommandAreNotWrittenOver) {
   EXPECT_EQ(weft_command("plan '" + task.string() + "'" + out + " --set planning.noise=0.2").code, 0);
 }
 
+TEST(Program, AFolderOfResultsInThePlaceOfAConfigIsNamed) {
+  const Folder folder;
+  folder.write("out/config.yaml", kTowelTask);
+  EXPECT_THAT(weft_command("run '" + (folder / "out").string() + "'").output,
+              HasSubstr("out: is a folder, must be a YAML file; it holds " + (folder / "out/config.yaml").string()));
+}
+
 TEST(Program, ASceneThatIsRefusedLeavesEarlierFrames) {
   const Folder folder;
   const std::string simulate = "simulate '" WEFT_SOURCE_DIR
@@ -888,6 +895,17 @@ TEST(Program, NewWritesAPluginOfEachKind) {
     EXPECT_THAT(weft_command("conformance --list --kind " + kind).output,
                 HasSubstr(readme.substr(law, readme.find(' ', law) - law) + " "));
   }
+}
+
+TEST(Program, NewWritesAllOfItsFilesOrNone) {
+  const Folder folder;
+  const std::string make = "new simulator soft --out '" + (folder / "soft").string() + "'";
+  // A limit on the size of files fails as a full disk does.
+  const Outcome limited = test::run_shell("ulimit -f 1; '" WEFT_PROGRAM "' " + make);
+  EXPECT_EQ(limited.code, 1);
+  EXPECT_THAT(limited.output, HasSubstr("cannot be written: File too large"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "soft"));
+  EXPECT_EQ(weft_command(make).code, 0);
 }
 
 TEST(Program, NewRefusesWhatItCannotWrite) {

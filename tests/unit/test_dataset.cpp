@@ -417,7 +417,59 @@ TEST(Dataset, AMergeIsWholeOrAbsent) {
                 merge_datasets({folder / "a", folder / "c"}, folder / "new");
               }),
               HasSubstr("differs from the one of the same number"));
-  EXPECT_TRUE(list_shards(folder / "new").empty());
+  EXPECT_FALSE(std::filesystem::exists(folder / "new"));
+}
+
+TEST(Dataset, AMergeOrSplitThatIsStoppedAtAnyFileLeavesNothing) {
+  const Folder folder;
+  ToyHost host(1);
+  generate(folder / "a", 20, host);
+  const auto files_before_the_end = [&](const std::filesystem::path& made, const auto& work) {
+    for (int files = 0;; ++files) {
+      int asked = 0;
+      try {
+        work([&] { return asked++ == files; });
+        return files;
+      } catch (const Interrupted& error) {
+        EXPECT_THAT(error.what(), HasSubstr("no dataset was written"));
+      }
+      EXPECT_FALSE(std::filesystem::exists(made)) << files;
+    }
+  };
+  const auto merge = [&](const auto& asked) { merge_datasets({folder / "a"}, folder / "to", asked); };
+  EXPECT_EQ(files_before_the_end(folder / "to", merge), 6);  // reads each of the three files twice
+  EXPECT_EQ(contents(folder / "to"), contents(folder / "a"));
+  const auto split = [&](const auto& asked) { split_dataset(folder / "a", folder / "three", asked); };
+  EXPECT_EQ(files_before_the_end(folder / "three" / "train", split), 3);
+}
+
+TEST(Dataset, AMergeThatIsKilledWhileItsFilesAreMovedIsNoDatasetAndCanBeRepeated) {
+  const Folder folder;
+  ToyHost host(1);
+  generate(folder / "a", 20, host);
+  std::filesystem::create_directories(folder / "to" / ".weft-moving");
+  std::filesystem::copy_file(folder / "a" / shard_name(0), folder / "to" / shard_name(0));
+  std::filesystem::copy_file(folder / "a" / shard_name(1), folder / "to" / ".weft-moving" / shard_name(1));
+  EXPECT_THAT(message_of<ConfigError>([&] { load_dataset(folder / "to"); }), HasSubstr("holds a part of a dataset"));
+  merge_datasets({folder / "a"}, folder / "to");
+  EXPECT_EQ(contents(folder / "to"), contents(folder / "a"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "to" / ".weft-moving"));
+}
+
+TEST(Dataset, ASplitThatIsKilledBetweenItsPartsIsMadeAgainAsAWhole) {
+  const Folder folder;
+  ToyHost host(1);
+  generate(folder / "a", 20, host);
+  split_dataset(folder / "a", folder / "whole");
+  split_dataset(folder / "a", folder / "to");
+  std::filesystem::create_directories(folder / "to" / "validation" / ".weft-moving");
+  EXPECT_THAT(message_of<ConfigError>([&] { load_dataset(folder / "to" / "validation"); }),
+              HasSubstr("a part of a dataset"));
+  split_dataset(folder / "a", folder / "to");
+  for (const char* part : {"train", "validation", "test"})
+    EXPECT_EQ(contents(folder / "to" / part), contents(folder / "whole" / part)) << part;
+  EXPECT_THAT(message_of<ConfigError>([&] { split_dataset(folder / "a", folder / "to"); }),
+              HasSubstr("holds a dataset already"));
 }
 
 TEST(Dataset, AppendsAnotherDatasetOfTheSameTaskAndKeepsEachSplit) {
