@@ -97,6 +97,17 @@ TEST(PaperTables, EvaluationsHaveTheirTables) {
   EXPECT_THAT(latex_of(paper_tables(folder.path())), HasSubstr("median $\\vert$c - q$\\vert$"));
 }
 
+TEST(PaperTables, SmallErrorsOfEstimatesKeepTheirDigits) {
+  const Folder folder;
+  folder.write("estimation.json",
+               R"({"columns": {"fresh": {"posterior": {"n": 5, "properties": {
+      "bend": {"abs_error": {"mean": 0.05, "median": 0.04}, "width": {"median": 0.25}, "coverage": {}},
+      "friction": {"abs_error": {"mean": 0.0002, "median": 0.0001}, "width": {"median": 0.02}, "coverage": {}}}}}}})");
+  const std::string text = markdown_of(paper_tables(folder.path()));
+  EXPECT_THAT(text, AllOf(HasSubstr("| posterior | bend | 5 | 0.0400 |  | 0.0500 |"),
+                          HasSubstr("| posterior | friction | 5 | 0.0001 |  | 0.0002 |"), HasSubstr("| 0.020 |")));
+}
+
 TEST(PaperTables, ThePhysicsSuiteIsSummedUpByTestQuantityAndBound) {
   const Folder folder;
   folder.write("physics.json", R"({"rows": [
