@@ -65,6 +65,7 @@ class Work:
     name: str
     arguments: str
     options: tuple = ("--quiet", "--jobs=2")
+    once: bool = False  # refused where its results are there
 
 
 WORKS = (
@@ -82,8 +83,8 @@ WORKS = (
                        " --data {inputs}/data --out out"),
     Work("physics", "evaluate physics {inputs}/physics.yaml --out out"),
     Work("learn", "learn {inputs}/experiment.yaml --out out"),
-    Work("merge", "dataset merge {inputs}/data --out out", options=("--quiet",)),
-    Work("split", "dataset split {inputs}/data --out out", options=("--quiet",)),
+    Work("merge", "dataset merge {inputs}/data --out out", options=("--quiet",), once=True),
+    Work("split", "dataset split {inputs}/data --out out", options=("--quiet",), once=True),
     Work("simulate", "simulate {inputs}/scene.yaml --out out"),
     Work("import", f"garment import {ROOT}/configs/garments/towel_coarse.obj --units m --up z --remesh 0.05 --out out",
          options=("--quiet",)),  # the command line is in its files
