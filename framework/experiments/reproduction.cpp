@@ -377,8 +377,7 @@ std::vector<ReproductionCommand> commands_of(const ReproductionStep& step, const
       after_sets(run, session);
       commands.push_back({run, session, false});
       if (params.stills.empty()) continue;
-      std::string frames;
-      for (const auto& frame : params.stills) frames += (frames.empty() ? "" : ",") + frame;
+      const std::string frames = listed(params.stills, ",");
       const fs::path stills = session / "stills";
       std::vector<std::string> export_words = {"export", session.string(), "--png", frames};
       if (!params.still_size.empty()) export_words.insert(export_words.end(), {"--size", params.still_size});

@@ -6,12 +6,13 @@
 
 namespace weft {
 
-void set_start(EstimateRequest& request, const Task& task, const Observation& seen) {
+void set_start(EstimateRequest& request, const Task& task, const Observation& seen, const MaterialKnowledge& prior) {
   request.start = filled_start(task, seen);
   const Index count = lowest_layer(*task.garment, *request.start, seen.observed).vertices;
   request.start_sigma =
       count > 0 ? seen.sigma / std::sqrt(static_cast<double>(count)) : std::numeric_limits<double>::infinity();
   request.start_height_sigma = seen.height_sigma;
+  if (prior.width.mean() < MaterialKnowledge::none().width.mean()) request.previous = prior;
 }
 
 SessionEstimator::SessionEstimator(const Task& task, std::shared_ptr<const Predictor> predictor,
@@ -53,8 +54,7 @@ EstimateChain::EstimateChain(const SessionEstimator* estimator, Host& host, std:
 
 void EstimateChain::start(const Task& task, const Observation& seen, const Vector& state, Index controls,
                           const MaterialKnowledge& prior) {
-  set_start(history_, task, seen);
-  if (prior.width.mean() < MaterialKnowledge::none().width.mean()) history_.previous = prior;
+  set_start(history_, task, seen, prior);
   history_.state = state;
   history_.controls.resize(0, controls);
 }

@@ -9,8 +9,8 @@
 
 namespace weft {
 
-/// Sets the start shape and its errors in `request` from the first observation of a session.
-void set_start(EstimateRequest& request, const Task& task, const Observation& seen);
+/// Sets the start shape and its errors in `request` from the first observation of a session, and what is known before.
+void set_start(EstimateRequest& request, const Task& task, const Observation& seen, const MaterialKnowledge& prior);
 
 /// The estimator of a session, with its corrections.
 class SessionEstimator {

@@ -372,22 +372,25 @@ Estimate Estimator::estimate(const EstimateRequest& request) const {
   if (history.coordinates.empty()) return estimate;
 
   EstimationObjective objective(task_, *predictor_, params_, request, history);
-  const bool first = !request.previous;
+  const bool first = !request.previous || request.round == 0;  // then it is a prior
   const MaterialKnowledge before = request.previous.value_or(MaterialKnowledge::none());
   const Box bounds{Vector::Zero(objective.dim()), Vector::Ones(objective.dim())};
   Vector centre(objective.dim());
   centre.head<4>() = before.centre;
   if (centre.size() == 8) centre.tail<4>() = before.width;
   // Instance 0 starts from the previous estimate, the others from it plus noise. Except in the paper's variant, one in
-  // four starts anywhere, because the first segments may have led to the wrong side of a ridge.
-  const double noise = first ? params_.noise : params_.later_noise;
+  // four starts anywhere, because the first segments may have led to the wrong side of a ridge. The first noise is as wide
+  // as what is known.
+  const auto noise = [&](Index k) {
+    return first ? params_.noise * (k < 4 ? before.width(k) : 1.0) : params_.later_noise;
+  };
   Matrix starts(centre.size(), params_.instances);
   for (Index i = 0; i < starts.cols(); ++i) {
     RandomStream random = RandomStream(request.seed, stream_key("estim"), static_cast<std::uint64_t>(request.round))
                               .child(static_cast<std::uint64_t>(i));
     for (Index k = 0; k < starts.rows(); ++k) {
       const bool anywhere = params_.method != "plain" && i % 4 == 3 && k < 4;
-      starts(k, i) = anywhere ? random.uniform() : centre(k) + (i == 0 ? 0.0 : noise * random.normal());
+      starts(k, i) = anywhere ? random.uniform() : centre(k) + (i == 0 ? 0.0 : noise(k) * random.normal());
     }
     starts.col(i) = bounds.clamp(starts.col(i));
   }

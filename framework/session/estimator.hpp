@@ -84,7 +84,8 @@ struct EstimatorParams {
     v("later_iterations", later_iterations, range(0, 100000), "Optimiser iterations of later estimates.");
     v("halvings", halvings, range(0, 30),
       "How many times the worse half of the searches ends, after 1/2, 1/4, 1/8, ... of the iterations. 0: all go on to the end.");
-    v("noise", noise, range(0, 10), "Gaussian noise on the starts of the first estimate.");
+    v("noise", noise, range(0, 10),
+      "Gaussian noise on the starts of the first estimate, relative to the width of the prior.");
     v("later_noise", later_noise, range(0, 10), "The same for later estimates.");
     v("width_prior", width_prior, range(0, 10),
       "prior: lambda of -lambda sum_p log(w_p + width_offset), added to the mean loss per coordinate.");

@@ -89,10 +89,10 @@ LonePlan plan_alone(const SessionParams& params, const ConfigNode& origin, const
 
 std::vector<Estimate> replay_estimates(const SessionEstimator& estimator, const Task& task,
                                        const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
-                                       Host& host) {
+                                       Host& host, const MaterialKnowledge& prior) {
   require_shape("replay: shapes", replay.shapes.size(), replay.controls.rows() + 1);
   EstimateRequest request;
-  set_start(request, task, observe_shape(replay.shapes.front(), observation, seed, 0));
+  set_start(request, task, observe_shape(replay.shapes.front(), observation, seed, 0), prior);
   request.state = replay.state;
   request.seed = seed;
   std::vector<Estimate> estimates;
@@ -145,7 +145,9 @@ LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& orig
     replay.controls = controls.topRows(fold.segments);
     replay.shapes = std::move(fold.shapes);
   }
-  result.estimates = replay_estimates(estimator, task, params.observation, replay, seed, host);
+  const auto prior = params.knowledge == "estimate" ? first_knowledge(params, origin, result.true_material)
+                                                    : MaterialKnowledge::none();
+  result.estimates = replay_estimates(estimator, task, params.observation, replay, seed, host, prior);
   return result;
 }
 

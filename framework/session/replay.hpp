@@ -27,16 +27,17 @@ struct Replay {
 };
 /// Estimates after every segment, [k], as in a session with `knowledge: estimate` (section 5). Beyond the predictor's
 /// max_segments() the last one stays.
-/// @param seed of the observations' noise and of the searches. @throws ShapeError; as SessionEstimator::next().
+/// @param seed of the observations' noise and of the searches. @param prior what is known before the first segment.
+/// @throws ShapeError; as SessionEstimator::next().
 std::vector<Estimate> replay_estimates(const SessionEstimator& estimator, const Task& task,
                                        const ObservationParams& observation, const Replay& replay, std::uint64_t seed,
-                                       Host& host);
+                                       Host& host, const MaterialKnowledge& prior = MaterialKnowledge::none());
 struct LoneEstimates {
   std::vector<Estimate> estimates;                  ///< [segments]
   std::optional<MaterialProperties> true_material;  ///< nullopt: unknown
 };
 /// `weft estimate`: the material after every segment of a recorded session, or of the default control with the
-/// session's true material. @param recorded null: the default control.
+/// session's true material; from the prior, as a session with `knowledge: estimate`. @param recorded null: the default control.
 /// @throws ConfigError for another garment; as replay_estimates().
 LoneEstimates estimate_alone(const SessionParams& params, const ConfigNode& origin, const SessionRecord* recorded,
                              Host& host);

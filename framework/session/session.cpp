@@ -63,13 +63,19 @@ std::vector<std::string> session_warnings(const SessionResult& result, const Ses
   return warnings;
 }
 
+/// A prior, or an earlier fold of the same cloth, may tell more than this fold has shown yet.
+MaterialKnowledge narrower(const MaterialKnowledge& now, const MaterialKnowledge& before) {
+  return now.width.mean() <= before.width.mean() ? now : before;
+}
+
 SessionSetup make_setup(const SessionParams& params, const ConfigNode& origin, Host& host,
                         std::shared_ptr<const StartShape> start = nullptr) {
   SessionSetup setup;
   setup.task = session_task(params, origin, host, std::move(start));
   const Task& task = setup.task;
   setup.knowledge = first_knowledge(params, origin, true_material_of(params));
-  if (params.knowledge == "estimate" && task.start && task.start->knowledge) setup.knowledge = *task.start->knowledge;
+  if (params.knowledge == "estimate" && task.start && task.start->knowledge)
+    setup.knowledge = narrower(*task.start->knowledge, setup.knowledge);
   const auto predictor = bound_predictor(place(origin, "predictor"), task, host);
   setup.goal = read_goal(params.goal, params.planning.loss, origin, task);
   setup.planner = std::make_shared<const Planner>(task, predictor, host.create<Optimiser>(params.optimiser),
@@ -338,7 +344,7 @@ class SessionRun {
                         .round = number,
                         .seed = static_cast<std::uint64_t>(params_.seed)};
     if (!plans_) {
-      if (estimator_) request.knowledge = narrower(chain_.knowledge(number - params_.knowledge_lag));
+      if (estimator_) request.knowledge = narrower(chain_.knowledge(number - params_.knowledge_lag), setup_.knowledge);
       round.plan = setup_.planner->plan(request);
       round.knowledge = request.knowledge;
       return round;
@@ -346,16 +352,11 @@ class SessionRun {
     // The correction that starts now makes the plan of segment number + lag.
     const Index seen = std::min<Index>(number, number + params_.correction.lag - params_.knowledge_lag);
     const auto known = [this, later = estimator_ ? chain_.knowledge_later(seen) : nullptr] {
-      return later ? narrower(later()) : setup_.knowledge;
+      return later ? narrower(later(), setup_.knowledge) : setup_.knowledge;
     };
     std::tie(round.plan, round.correction) = number == 0 ? plans_->first(request) : plans_->next(request, known);
     round.knowledge = plans_->knowledge();
     return round;
-  }
-
-  /// An earlier fold of the same cloth may have shown more than this one has yet.
-  MaterialKnowledge narrower(const MaterialKnowledge& now) const {
-    return now.width.mean() <= setup_.knowledge.width.mean() ? now : setup_.knowledge;
   }
 
   void execute(const Vector& control) {
@@ -436,7 +437,7 @@ SessionResult run_configured_session(const SessionParams& params, const ConfigNo
     if (trial > 0) {
       environment.reset();  // a process ends before the next one starts
       environment = new_environment(RandomStream(noise, kTrialStream, static_cast<std::uint64_t>(trial)).bits64());
-      if (params.knowledge == "estimate") setup.knowledge = memory.knowledge;
+      if (params.knowledge == "estimate") setup.knowledge = narrower(memory.knowledge, setup.knowledge);
     }
     result = run_session(params, setup, *environment, host, progress, params.trials > 1 ? &memory : nullptr);
     trials.push_back(result.record());

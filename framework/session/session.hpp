@@ -69,7 +69,7 @@ struct SessionParams {
       "Knowledge of the material for the plans; estimate: estimated from the session so far.");
     v("prior", prior, choice({"none", "given", "drawn"}),
       "knowledge: estimate: what is known before the first estimate. The plans use it until an estimate is narrower, and the "
-      "estimates start from it.");
+      "estimates start from it; those of `weft evaluate estimation` start without.");
     v("given_centre", given_centre, range(0, 1), "knowledge or prior given: c.", property_list());
     v("given_width", given_width, range(0, 1), "knowledge or prior given: w.", property_list());
     v("unknown", unknown,

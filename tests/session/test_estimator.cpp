@@ -434,7 +434,7 @@ TEST(Estimator, TheStartIsAsSureAsTheVerticesThatWereSeen) {
   const auto vertices = static_cast<double>(seen.positions.rows());
   const auto sigma = [&] {
     EstimateRequest request;
-    set_start(request, bench.task, seen);
+    set_start(request, bench.task, seen, MaterialKnowledge::none());
     return request.start_sigma;
   };
   EXPECT_DOUBLE_EQ(sigma(), 0.002 / std::sqrt(vertices));
@@ -490,9 +490,24 @@ TEST(Estimator, StartsFromThePrecedingEstimate) {
   previous.centre << 0.1, 0.2, 0.3, 0.4;
   previous.width << 0.5, 0.6, 0.7, 0.8;
   request.previous = previous;
+  request.round = 6;
   const auto k = bench.estimate(request).knowledge;
   EXPECT_EQ(k.centre, previous.centre);
   EXPECT_EQ(k.width, previous.width);
+}
+
+TEST(Estimator, APriorIsNoEstimate) {
+  // The first estimate searches as long and, relative to what is known, as widely as without a prior.
+  Bench bench;
+  bench.params.later_iterations = 0;
+  auto request = bench.observe(draw(6), 6);
+  const auto without = bench.estimate(request);
+  request.previous = MaterialKnowledge::none();
+  const auto none = bench.estimate(request);
+  EXPECT_EQ(none.knowledge.centre, without.knowledge.centre);
+  EXPECT_EQ(none.losses, without.losses);
+  request.previous->width.setConstant(0.9);
+  EXPECT_GT(bench.estimate(request).iterations, 0);
 }
 
 TEST(Estimator, SameSeedSameBitsAndAnotherSeedOtherStarts) {

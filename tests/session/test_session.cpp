@@ -2,6 +2,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "session/replay.hpp"
 #include "session/session_file.hpp"
 #include "session/towel_session.hpp"
 #include "weft/hdf5_file.hpp"
@@ -366,6 +367,19 @@ TEST_F(Session, AnEstimateStartsFromThePrior) {
     return (r.estimates.front().posterior->mode - *r.true_material).cwiseAbs().mean();
   };
   EXPECT_LT(deviation(result), deviation(run(quick)));
+  // A second fold does not forget it, and estimates alone start from it.
+  const auto sure = with(quick, {"prior=drawn", "drawn_width=0.001"});
+  for (const auto& round : run(with(sure, {"trials=2"})).rounds) EXPECT_LE(round.knowledge.width.mean(), 0.001 + 1e-12);
+  const auto alone = [&](const std::vector<std::string>& overrides) {
+    ConfigNode config = ConfigNode::load(folder_ / "task.yaml");
+    for (const auto& assignment : with(overrides, {"estimation={instances: 1, iterations: 1, later_iterations: 0}"}))
+      config = apply_override(config, assignment);
+    SessionParams params;
+    read_params(config, params);
+    const auto host = make_host(std::make_shared<PluginRegistry>(), {.threads = 1});
+    return estimate_alone(params, config, nullptr, *host).estimates.front().posterior->mode;
+  };
+  EXPECT_NE(alone(prior), alone(quick));
   const auto given = run(with(quick, {"prior=given", "given_centre=[0.2, 0.3, 0.4, 0.5]",
                                       "given_width=[0.1, 0.2, 0.3, 0.4]", "unknown=[stretch]"}));
   EXPECT_EQ(given.rounds.front().knowledge.centre, MaterialProperties(0.2, 0.3, 0.5, 0.5));
