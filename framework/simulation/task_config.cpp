@@ -4,6 +4,7 @@
 #include <cmath>
 #include <optional>
 #include <sstream>
+#include <string_view>
 
 #include "simulation/hand_limits.hpp"
 #include "simulation/seen_vertex.hpp"
@@ -49,16 +50,16 @@ Positions known_start(const Task& task, double thickest, const ConfigNode& origi
                  [&] { return start_positions(*task.garment, task.scene, thickest); });
 }
 
-/// The place of `nearest(x, y)`; nullopt: not of this form.
-std::optional<Vec2> nearest_place(const std::string& grasp) {
-  std::istringstream text(grasp);
-  std::string word(std::min<std::size_t>(8, grasp.size()), ' ');
+/// The place of `nearest(x, y)`; nullopt: a name. @param key for messages.
+std::optional<Vec2> nearest_place(const std::string& grasp, const ConfigNode& key) {
+  constexpr std::string_view kBegin = "nearest(";
+  if (!grasp.starts_with(kBegin)) return std::nullopt;
+  std::istringstream text(grasp.substr(kBegin.size()));
   Vec2 at;
   char comma = ' ', bracket = ' ';
-  if (!text.read(word.data(), std::ssize(word)) || word != "nearest(") return std::nullopt;
   if (!(text >> at.x() >> comma >> at.y() >> bracket) || comma != ',' || bracket != ')' || !(text >> std::ws).eof() ||
       !at.allFinite())
-    return std::nullopt;
+    must_be(key, "nearest(x, y) with two numbers, m, or a named vertex");
   return at;
 }
 
@@ -68,7 +69,7 @@ std::vector<Index> grasped_vertices(const std::vector<std::string>& grasp, const
   std::vector<Index> vertices;
   for (std::size_t i = 0; i < grasp.size(); ++i) {
     const ConfigNode key = place(origin, "manipulation.grasp." + std::to_string(i));
-    const auto at = nearest_place(grasp[i]);
+    const auto at = nearest_place(grasp[i], key);
     const Index vertex =
         at ? nearest_seen_vertex(start, garment.faces, *at) : blaming(key, [&] { return garment.vertex(grasp[i]); });
     if (std::find(vertices.begin(), vertices.end(), vertex) != vertices.end())

@@ -274,7 +274,7 @@ TEST_F(Opening, AVertexCanBeChosenByItsPlace) {
   for (const char* wrong : {"nearest(0.1)", "nearest(0.1, 0.2", "nearest(0.1, nan)", "nearest(0.1, 0.2) of all"})
     EXPECT_NE(test::message_of<ConfigError>([&] {
                 task_of({"manipulation.grasp=[left_bottom, \"" + std::string(wrong) + "\"]"});
-              }).find("no vertex is named '" + std::string(wrong)),
+              }).find(std::string(wrong) + "\" (a text), must be nearest(x, y) with two numbers"),
               std::string::npos)
         << wrong;
 }
