@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <atomic>
+#include <charconv>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <string_view>
 
 #include "commands.hpp"
 #include "experiments/benchmark/measure.hpp"
@@ -28,30 +30,36 @@ std::atomic<bool> worker_cancelled = false;  // set in a signal handler
 /// Makes examples. Task and simulator stay from one request to the next.
 class ExampleServer {
  public:
-  std::string answer(const nlohmann::ordered_json& request) try {
-    const auto setup = request.at("config").get<std::string>() + request.at("plugin_path").get<std::string>();
-    if (!simulator_ || setup != setup_) {
-      simulator_.reset();
-      const ConfigNode config = read_located_json(request.at("config").get<std::string>());
-      params_ = ExperimentParams();
-      read_params(config, params_);
-      HostOptions options;
-      options.threads = 1;
-      options.seed = static_cast<std::uint64_t>(params_.seed);
-      options.cancel = &worker_cancelled;
-      host_ = make_host(registry_of_request(request.at("plugin_path").get<std::string>()), options);
-      task_ = make_task(params_.task, config, *host_);
-      simulator_ = host_->create<Simulator>(task_->simulator);
-      setup_ = setup;
-    }
-    const auto index = request.at("index").get<std::int64_t>();
-    const auto seed = static_cast<std::uint64_t>(params_.seed);
-    return example_to_hex(make_example(*simulator_, *task_, params_.data, seed, index));
+  /// @param request from example_requests().
+  std::string answer(std::string_view request) try {
+    request.remove_prefix(kExample.size());
+    std::int64_t index = 0;
+    const char* const end = std::from_chars(request.data(), request.data() + request.size(), index).ptr;
+    request.remove_prefix(static_cast<std::size_t>(end - request.data()));
+    if (!simulator_ || request != setup_) set_up(request);
+    return example_to_hex(
+        make_example(*simulator_, *task_, params_.data, static_cast<std::uint64_t>(params_.seed), index));
   } catch (...) {
     return no_example_line(current_failure());
   }
 
  private:
+  void set_up(std::string_view text) {
+    simulator_.reset();
+    const auto setup = nlohmann::ordered_json::parse(text);
+    const ConfigNode config = read_located_json(setup.at("config").get<std::string>());
+    params_ = ExperimentParams();
+    read_params(config, params_);
+    HostOptions options;
+    options.threads = 1;
+    options.seed = static_cast<std::uint64_t>(params_.seed);
+    options.cancel = &worker_cancelled;
+    host_ = make_host(registry_of_request(setup.at("plugin_path").get<std::string>()), options);
+    task_ = make_task(params_.task, config, *host_);
+    simulator_ = host_->create<Simulator>(task_->simulator);
+    setup_ = text;
+  }
+
   std::string setup_;
   ExperimentParams params_;
   std::unique_ptr<Host> host_;
@@ -75,11 +83,12 @@ int work() {
   }
   serve_work(
       [&](const std::string& text) {
+        if (text.starts_with(kExample)) return examples.answer(text);
         const auto request = nlohmann::ordered_json::parse(text);
         const auto kind = request.at("kind").get<std::string>();
         if (EvaluationServer::knows(kind)) return evaluations.answer(text);
         if (benchmark::knows(kind)) return benchmark::answer(text, &worker_cancelled);
-        return kind == "example" ? examples.answer(request) : cells.answer(text);
+        return cells.answer(text);
       },
       worker_cancelled);
   return 0;

@@ -106,11 +106,9 @@ std::string cell_request(const CellWork& work, const ConfigNode& cell, const Plu
 }
 
 std::function<std::string(std::int64_t)> example_requests(const ConfigNode& config, const std::string& folders) {
-  std::string request =
-      ordered_json{{"kind", "example"}, {"config", located_json(config)}, {"plugin_path", folders}}.dump(-1, ' ', true,
-                                                                                                         kReplace);
-  request.back() = ',';  // the closing brace comes after the index
-  return [request](std::int64_t index) { return request + "\"index\":" + std::to_string(index) + "}"; };
+  const std::string setup =
+      ordered_json{{"config", located_json(config)}, {"plugin_path", folders}}.dump(-1, ' ', true, kReplace);
+  return [setup](std::int64_t index) { return kExample + std::to_string(index) + " " + setup; };
 }
 
 void read_cell_end(const WorkEnd& end, SweepRow& row) {

@@ -28,6 +28,9 @@ std::string cell_request(const CellWork& work, const ConfigNode& cell, const Plu
 std::string searched_folders(const PluginRegistry& registry);
 std::shared_ptr<const PluginRegistry> registry_of_request(const std::string& folders);
 
+/// What a request for an example begins with. Its index, a blank, and JSON with `config` and `plugin_path` follow: a child
+/// reads the JSON only when it is another one than before.
+inline const std::string kExample = "example ";
 /// What child processes need to make examples: the request for one, by its index.
 /// @param config with the keys of ExperimentParams. @param folders from searched_folders().
 std::function<std::string(std::int64_t index)> example_requests(const ConfigNode& config, const std::string& folders);

@@ -22,10 +22,13 @@ class Writer {
   template <class Value>
   void add(const Value* values, std::size_t count) {
     const auto* bytes = reinterpret_cast<const unsigned char*>(values);
-    for (std::size_t i = 0; i < count * sizeof(Value); ++i) {
+    const std::size_t at = hex_.size(), size = count * sizeof(Value);
+    hex_.resize(at + 2 * size);
+    char* hex = hex_.data() + at;
+    for (std::size_t i = 0; i < size; ++i) {
       constexpr const char* kDigits = "0123456789abcdef";
-      hex_ += kDigits[bytes[i] >> 4];
-      hex_ += kDigits[bytes[i] & 15];
+      hex[2 * i] = kDigits[bytes[i] >> 4];
+      hex[2 * i + 1] = kDigits[bytes[i] & 15];
     }
   }
   void add(const Controls& matrix) {
@@ -50,8 +53,16 @@ class Reader {
   void read(Value* values, std::size_t count) {
     require(count, sizeof(Value));
     auto* bytes = reinterpret_cast<unsigned char*>(values);
-    for (std::size_t i = 0; i < count * sizeof(Value); ++i, at_ += 2)
-      bytes[i] = static_cast<unsigned char>(digit(hex_[at_]) << 4 | digit(hex_[at_ + 1]));
+    const char* hex = hex_.data() + at_;
+    const std::size_t size = count * sizeof(Value);
+    unsigned seen = 0;
+    for (std::size_t i = 0; i < size; ++i) {
+      const unsigned high = digit(hex[2 * i]), low = digit(hex[2 * i + 1]);
+      seen |= high | low;
+      bytes[i] = static_cast<unsigned char>(high << 4 | low);
+    }
+    if (seen > 15) fail();
+    at_ += 2 * size;
   }
   void read(Controls& matrix) {
     Index rows = 0, columns = 0;
@@ -78,10 +89,12 @@ class Reader {
   void require(std::size_t count, std::size_t size) const {
     if (count > (hex_.size() - at_) / (2 * size)) fail();
   }
+  /// Without branches, so that a loop over digits becomes vectors. Above 15: it is no digit.
   static unsigned digit(char c) {
-    if (c >= '0' && c <= '9') return static_cast<unsigned>(c - '0');
-    if (c >= 'a' && c <= 'f') return static_cast<unsigned>(c - 'a') + 10;
-    fail();
+    const unsigned decimal = static_cast<unsigned char>(c) - unsigned{'0'};
+    const unsigned letter = static_cast<unsigned char>(c) - unsigned{'a'};
+    const unsigned value = letter < 6 ? letter + 10 : 16;
+    return decimal < 10 ? decimal : value;
   }
   std::string_view hex_;
   std::size_t at_ = 0;

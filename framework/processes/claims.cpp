@@ -6,7 +6,6 @@
 #include <cerrno>
 #include <chrono>
 #include <condition_variable>
-#include <csignal>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
@@ -16,6 +15,7 @@
 #include <random>
 #include <thread>
 
+#include "sdk/ended_process.hpp"
 #include "sdk/files.hpp"
 #include "weft/error.hpp"
 
@@ -116,7 +116,8 @@ struct Claims::State {
   bool is_dead(const std::string& name, const std::string& text) {
     const auto content = Content::parse(text);
     if (content && content->machine == options.machine && content->start != kUnknown &&
-        start_of(static_cast<pid_t>(content->process)) != content->start)
+        (start_of(static_cast<pid_t>(content->process)) != content->start ||
+         has_ended(static_cast<pid_t>(content->process))))
       return true;
     const auto now = Clock::now();
     Observed& claim = observed[name];

@@ -6,7 +6,6 @@
 
 #include <cerrno>
 #include <charconv>
-#include <csignal>
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
@@ -16,6 +15,7 @@
 #include <random>
 #include <set>
 
+#include "sdk/ended_process.hpp"
 #include "sdk/fingerprint.hpp"
 
 namespace weft {
@@ -57,7 +57,7 @@ bool is_left_behind(const std::string& name, pid_t self) {
     digits += kDigits;
   }
   if (machine != this_machine()) return false;
-  return static_cast<pid_t>(process) == self || (kill(static_cast<pid_t>(process), 0) != 0 && errno == ESRCH);
+  return static_cast<pid_t>(process) == self || has_ended(static_cast<pid_t>(process));
 }
 
 /// Removes the temporaries that ended processes left in a folder, before this process writes its first file there.

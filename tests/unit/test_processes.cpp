@@ -1,4 +1,5 @@
 // Child processes, what becomes of them, and the claims with which several of them share a folder.
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <chrono>
@@ -277,6 +278,20 @@ TEST(Claims, OfAnEndedProcessOfThisMachineAreTakenAtOnce) {
   EXPECT_EQ(claims.take("a"), std::nullopt);
   write(Claims::this_machine(), "1");
   EXPECT_EQ(claims.take("a"), 3);
+}
+
+TEST(Claims, OfAZombieAreTakenAtOnce) {
+  const Folder folder;
+  const pid_t zombie = fork();
+  if (zombie == 0) {
+    auto* const claims = new Claims(folder / "claims");  // without an end, which would give the claim back
+    _exit(claims->take("a").value_or(0));
+  }
+  siginfo_t ended;
+  waitid(P_PID, static_cast<id_t>(zombie), &ended, WEXITED | WNOWAIT);
+  ASSERT_EQ(ended.si_status, 1);
+  EXPECT_EQ(Claims(folder / "claims").take("a"), 2);
+  waitpid(zombie, nullptr, 0);
 }
 
 TEST(Claims, OfAnotherMachineAreTakenWhenTheyAreNotTouched) {
