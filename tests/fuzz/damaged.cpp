@@ -3,6 +3,7 @@
 #include <fstream>
 #include <iterator>
 #include <sstream>
+#include <utility>
 
 #include "fuzz.hpp"
 #include "processes/child_process.hpp"
@@ -23,30 +24,72 @@ std::string bytes_of(const fs::path& file) {
   return {std::istreambuf_iterator<char>(stream), {}};
 }
 
-/// A process that opens the files that it is told: this program's neighbour (replay.cpp). What is too large to allocate is null to
-/// libhdf5, as without a sanitizer; operator new, which weft's own code uses, ends the process all the same.
-std::unique_ptr<ChildProcess> start_reader() {
+/// Opens files of other processes: this program's neighbour (replay.cpp). What is too large to allocate is null to libhdf5, as
+/// without a sanitizer; operator new, which weft's own code uses, ends the process all the same.
+/// @param names whether its reports name functions; to find them takes a second.
+std::unique_ptr<ChildProcess> start_reader(bool names) {
   ChildOptions options;
   options.command = {(fs::read_symlink("/proc/self/exe").parent_path() / "weft_fuzz_inputs").string(), "--serve"};
   options.environment = {
       {"ASAN_OPTIONS",
        "detect_leaks=0:max_allocation_size_mb=256:allocator_may_return_null=1:handle_abort=1:malloc_context_size=2:"
-       "quarantine_size_mb=16:allocator_release_to_os_interval_ms=-1"}};
+       "quarantine_size_mb=16:allocator_release_to_os_interval_ms=-1:symbolize=" +
+           std::to_string(static_cast<int>(names))}};
   options.own_group = true;
   options.keep_errors = true;
   return std::make_unique<ChildProcess>(options);
 }
 
-/// Whether a sanitizer's report begins in libhdf5: a frame of it comes before any of weft. (The sanitizer's own malloc() lies
-/// in the program of weft, but is no function of it.)
-bool is_of_libhdf5(const std::string& report) {
+struct Reading {
+  std::string ill;       ///< how its process ended; empty: the file was read or refused
+  std::string report;    ///< of the sanitizer
+  bool is_over = false;  ///< the reader does not open any more files
+};
+
+Reading read_with(ChildProcess& reader, const std::string& kind, const fs::path& file) {
+  constexpr double kMostCpu = 20.0, kMostIdle = 300.0, kLook = 1.0;  // s; an input takes a millisecond
+  Reading reading;
+  std::string answer;
+  reader.write(kind + " " + file.string() + "\n", seconds_from_now(kMostIdle));
+  auto outcome = reader.read_line(answer, seconds_from_now(kLook));
+  if (outcome == ChildProcess::Outcome::late) {
+    HangWatch watch(kMostCpu, kMostIdle);
+    watch.start(reader.cpu_seconds());
+    while (outcome == ChildProcess::Outcome::late && reading.ill.empty()) {
+      outcome = reader.read_line(answer, seconds_from_now(kLook));
+      if (outcome == ChildProcess::Outcome::late) reading.ill = watch.check(reader.cpu_seconds());
+    }
+  }
+  if (outcome == ChildProcess::Outcome::done && !answer.starts_with(kDied)) return reading;
+  if (outcome == ChildProcess::Outcome::done) {
+    reading.ill = answer;
+  } else {
+    reading.is_over = true;
+    if (!reading.ill.empty()) reader.kill(6);
+    const auto end = reader.wait_until(seconds_from_now(10));
+    if (reading.ill.empty()) reading.ill = end ? end->text() : "does not end";
+  }
+  reading.report = reader.errors();
+  std::string& report = reading.report;
+  if (!reading.is_over) report.resize(report.rfind(kReportEnds));
+  if (const auto before = report.rfind(kReportEnds); before != std::string::npos)
+    report.erase(0, before + kReportEnds.size());
+  return reading;
+}
+
+enum class Origin { libhdf5, weft, unknown };
+
+/// Where a sanitizer's report begins. In a report without the names of functions a frame of the program of weft says nothing:
+/// the sanitizer's own malloc() lies there too.
+Origin origin_of(const std::string& report, bool names) {
   std::istringstream lines(report);
   for (std::string line; std::getline(lines, line);) {
     if (line.find("    #") == std::string::npos) continue;
-    if (line.find("libhdf5") != std::string::npos) return true;
-    if (line.find("weft::") != std::string::npos) return false;
+    if (line.find("libhdf5") != std::string::npos) return Origin::libhdf5;
+    if (!names) return Origin::unknown;
+    if (line.find("weft::") != std::string::npos) return Origin::weft;
   }
-  return false;
+  return Origin::unknown;
 }
 
 /// Notes a crash of libhdf5 for whoever counts them.
@@ -92,29 +135,21 @@ void damaged(std::string_view bytes) {
     if (bytes.size() == 1) content.resize(content.size() * static_cast<unsigned char>(bytes[0]) / 256);
   }
   static std::unique_ptr<ChildProcess> reader;
-  if (!reader) reader = start_reader();
+  if (!reader) reader = start_reader(false);
   const fs::path file = world().write(kind == 1 ? "shard-00000.h5" : "damaged.h5", content);
-  std::string answer;
-  constexpr double kMostCpu = 20.0, kMostIdle = 300.0, kLook = 1.0;  // s; an input takes a millisecond
-  reader->write(std::string(kKinds[kind].name) + " " + file.string() + "\n", seconds_from_now(kMostIdle));
-  auto outcome = reader->read_line(answer, seconds_from_now(kLook));
-  bool hangs = false;
-  if (outcome == ChildProcess::Outcome::late) {
-    HangWatch watch(kMostCpu, kMostIdle);
-    watch.start(reader->cpu_seconds());
-    while (outcome == ChildProcess::Outcome::late && !hangs) {
-      outcome = reader->read_line(answer, seconds_from_now(kLook));
-      hangs = outcome == ChildProcess::Outcome::late && !watch.check(reader->cpu_seconds()).empty();
-    }
+  Reading reading = read_with(*reader, kKinds[kind].name, file);
+  if (reading.is_over) reader.reset();
+  if (reading.ill.empty()) return;
+  Origin origin = origin_of(reading.report, false);
+  if (origin == Origin::unknown) {
+    const auto namer = start_reader(true);
+    Reading named = read_with(*namer, kKinds[kind].name, file);
+    if (!named.ill.empty()) reading = std::move(named);
+    origin = origin_of(reading.report, true);
   }
-  if (outcome == ChildProcess::Outcome::done) return;
-  if (hangs) reader->kill(6);
-  const auto end = reader->wait_until(seconds_from_now(10));
-  const std::string report = reader->errors();
-  reader.reset();
-  const std::string what = hangs ? "hangs" : end ? end->text() : "does not end";
-  if (is_of_libhdf5(report)) return note("== " + std::string(kKinds[kind].name) + " " + what + "\n" + report);
-  finding("opening a damaged " + std::string(kKinds[kind].name) + " " + what + "\n" + report);
+  if (origin == Origin::libhdf5)
+    return note("== " + std::string(kKinds[kind].name) + " " + reading.ill + "\n" + reading.report);
+  finding("opening a damaged " + std::string(kKinds[kind].name) + " " + reading.ill + "\n" + reading.report);
 }
 
 }  // namespace weft::fuzz

@@ -85,6 +85,10 @@ void make_session(const std::filesystem::path& file);
 void make_dataset(const std::filesystem::path& file);
 void make_model(const std::filesystem::path& file);
 
+/// What `weft_fuzz_inputs --serve` answers if the process that opened a file died of it, before how it ended; and what it
+/// has then written to stderr after that one's reports.
+inline const std::string kDied = "died: ", kReportEnds = "== a process has ended\n";
+
 /// Keys of tasks, experiments and scenes, and words of the formats: what a mutator may insert.
 std::vector<std::string> words_of_target(std::string_view target);
 

@@ -203,10 +203,33 @@ std::vector<hsize_t> shape_of(hid_t file, const std::string& name) {
   return shape;
 }
 
-/// Fills a dataset that is small enough with numbers of the input.
-void fill(hid_t set, hid_t type, const std::vector<hsize_t>& shape, Bytes& in) {
+/// The product of extents. @return 0 if it is above `most`; the product itself may be above 2^64.
+hsize_t product(const std::vector<hsize_t>& extents, hsize_t most) {
+  if (std::find(extents.begin(), extents.end(), 0) != extents.end()) return 0;
   hsize_t count = 1;
-  for (const hsize_t n : shape) count = n == 0 || count > 4096 ? count * (n != 0) : count * std::min<hsize_t>(n, 4097);
+  for (const hsize_t n : extents) {
+    if (n > most / count) return 0;
+    count *= n;
+  }
+  return count;
+}
+
+/// The number of a dataset's values, if this program can change them: libhdf5 needs memory for whole chunks, and for each
+/// chunk. @return 0: there are none, or too many.
+std::size_t values_of(hid_t file, const std::string& name, hid_t set) {
+  constexpr hsize_t kMost = 65536;
+  const std::vector<hsize_t> shape = shape_of(file, name);
+  std::vector<hsize_t> chunk(shape.size());
+  const hid_t options = H5Dget_create_plist(set);
+  const bool has_chunks = H5Pget_layout(options) == H5D_CHUNKED;
+  if (has_chunks) H5Pget_chunk(options, static_cast<int>(chunk.size()), chunk.data());
+  H5Pclose(options);
+  return has_chunks && product(chunk, kMost) == 0 ? 0 : product(shape, kMost);
+}
+
+/// Fills a dataset that is small enough with numbers of the input.
+void fill(hid_t file, const std::string& name, hid_t set, hid_t type, Bytes& in) {
+  const std::size_t count = values_of(file, name, set);
   const auto kind = H5Tget_class(type);
   if (count == 0 || count > 4096 || (kind != H5T_INTEGER && kind != H5T_FLOAT)) return;
   const double a = kNumbers[in.below(std::size(kNumbers))], b = kNumbers[in.below(std::size(kNumbers))];
@@ -238,7 +261,7 @@ void replace(hid_t file, const std::string& name, Bytes& in) {
   H5Ldelete(file, name.c_str(), H5P_DEFAULT);
   const hid_t set = H5Dcreate2(file, name.c_str(), type, space, links, options, H5P_DEFAULT);
   if (set >= 0) {
-    if (storage < 7) fill(set, type, shape, in);  // writing needs memory for a whole chunk
+    fill(file, name, set, type, in);
     H5Dclose(set);
   }
   for (const hid_t id : {options, links}) H5Pclose(id);
@@ -265,8 +288,8 @@ void write_text(hid_t file, const std::string& name, const std::string& text) {
 void change_values(hid_t file, const std::string& name, Bytes& in) {
   const hid_t set = H5Dopen2(file, name.c_str(), H5P_DEFAULT);
   if (set < 0) return;
-  const hid_t type = H5Dget_type(set), space = H5Dget_space(set);
-  const hssize_t count = H5Sget_simple_extent_npoints(space);
+  const hid_t type = H5Dget_type(set);
+  const std::size_t count = values_of(file, name, set);
   const auto kind = H5Tget_class(type);
   const bool is_text = kind == H5T_STRING && H5Tis_variable_str(type) <= 0;
   if (is_text && count == 1 && H5Tget_size(type) < 65536) {
@@ -277,8 +300,8 @@ void change_values(hid_t file, const std::string& name, Bytes& in) {
     const unsigned how = in.below(3);  // insert, overwrite, or cut
     text = text.substr(0, at) + other + (how == 2 ? "" : text.substr(std::min(text.size(), at + how * other.size())));
     write_text(file, name, text);
-  } else if ((kind == H5T_INTEGER || kind == H5T_FLOAT) && count > 0 && count <= 65536) {
-    std::vector<double> values(static_cast<std::size_t>(count));
+  } else if ((kind == H5T_INTEGER || kind == H5T_FLOAT) && count > 0) {
+    std::vector<double> values(count);
     H5Dread(set, H5T_NATIVE_DOUBLE, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data());
     for (unsigned changes = 1 + in.below(4); changes > 0; --changes) {
       const std::size_t at = (in.byte() * 256 + in.byte()) % values.size();
@@ -287,7 +310,6 @@ void change_values(hid_t file, const std::string& name, Bytes& in) {
     }
     H5Dwrite(set, H5T_NATIVE_DOUBLE, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data());
   }
-  H5Sclose(space);
   H5Tclose(type);
   H5Dclose(set);
 }
