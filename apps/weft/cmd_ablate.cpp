@@ -9,6 +9,7 @@
 #include "meshes/garment_writer.hpp"
 #include "output.hpp"
 #include "paper_options.hpp"
+#include "prepared.hpp"
 #include "report/times.hpp"
 #include "session/session.hpp"
 #include "simulation/task_config.hpp"
@@ -37,10 +38,12 @@ struct SavedArm {
 
 /// Resolves an arm's config, and notes what its cells belong to.
 template <class Params>
-SavedArm resolve_arm(SweepArm& arm, const ConfigNode& resolved, Task task, const PluginRegistry& registry) {
+SavedArm resolve_arm(SweepArm& arm, const ConfigNode& resolved, Task task, const PluginRegistry& registry,
+                     std::vector<IdentityInput::Fold> folds = {}) {
   const auto params = describe_params<Params>();
   const auto keep = [](const ParamInfo& info) { return info.name != "seed"; };  // each cell has its own
-  arm.identity = make_identity({arm.config, resolved, params, task, registry, keep, {{"command", "ablate"}}});
+  arm.identity = make_identity(
+      {arm.config, resolved, params, task, registry, keep, {{"command", "ablate"}}, {}, std::move(folds)});
   // Its cells run with the numeric variants that were chosen here.
   arm.config = with_recorded_variants(arm.config, params, registry, {arm.identity}, "arm '" + arm.name + "'");
   return {self_contained(resolved, params, task, registry), std::move(task)};
@@ -68,7 +71,7 @@ SavedArm rehearse(const AblationPlan& plan, SweepArm& arm, const PluginRegistry&
     const Task task = make_task(params.task, arm.config, host);
     check_simulator(task.simulator, task, host);
     rehearse_steps(session_steps(params, arm.config), host);
-    return resolve_arm<SessionParams>(arm, resolved, task, registry);
+    return resolve_arm<SessionParams>(arm, resolved, task, registry, identity_folds(params, arm.config));
   } catch (const Error& error) {
     throw ConfigError("arm '" + arm.name + "': " + error.what());
   }

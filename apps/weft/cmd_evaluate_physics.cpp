@@ -84,8 +84,11 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   if (work.cluster.is_given())
     return run_on_cluster(context, work.cluster, on_cluster,
                           [&] { write_planned_identity(out, on_cluster.label, identity); });
-  PhysicsCheckpoint checkpoint(out, identity, cases, context.accept_changed);
+  PhysicsCheckpoint(out, identity, cases,
+                    context.accept_changed);  // refuses another identity before anything is written
   const PlacedFolder placed(out);
+  const FolderTurn turn(context, out, "physics");
+  PhysicsCheckpoint checkpoint(out, identity, cases, context.accept_changed);
   const auto finish = [&](std::size_t comparisons, std::size_t failed) {
     context.say(std::to_string(comparisons) + " comparisons, " + std::to_string(failed) + " outside their bound");
     write_paper(context, out, paper);
@@ -96,6 +99,7 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   if (const auto kept = kept_results(out, identity, given.saved_config().to_yaml()); kept.is_object()) {
     const std::string text = kept.dump(2) + '\n';
     write_text(out / "physics.json", text);  // its time says that it is of today's weft too
+    checkpoint.remove();                     // left by a process that was killed at its very end
     if (context.json) context.output() << text;
     context.say("everything was measured before");
     return finish(kept.at("rows").size(), kept.at("failed").get<std::size_t>());
@@ -135,8 +139,8 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   write_text(out / "config.yaml", given.saved_config().to_yaml());
   write_text(out / "provenance.json", given.provenance(identity));
   write_text(out / "times.json", times_json(given.host->threads(), {}));
-  write_text(out / "physics.json", to_json(rows));
   write_text(out / "physics.csv", to_csv(rows));
+  write_text(out / "physics.json", to_json(rows));  // the last one: it says that all are there
   checkpoint.remove();
   if (context.json) context.output() << to_json(rows);
   const auto failed = std::count_if(rows.begin(), rows.end(), [](const PhysicsRow& r) { return !r.passed; });

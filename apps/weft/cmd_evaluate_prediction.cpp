@@ -108,6 +108,7 @@ int evaluate_predictor(Context& context, const PredictionCall& call, PredictionE
     return run_on_cluster(context, work.cluster, on_cluster,
                           [&] { write_planned_identity(out, on_cluster.label, identity); });
   const PlacedFolder placed(out);
+  const FolderTurn turn(context, out, "prediction");
 
   const EvaluationWorkers workers{work.worker(), work.cell_limit_s, [&] { return given.host->cancelled(); }};
   PredictBatch predict;  // empty: in this process

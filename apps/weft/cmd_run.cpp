@@ -103,11 +103,12 @@ std::string step_name(Index number) { return "step_" + std::to_string(number + 1
 
 int run(Context& context, const std::string& file) {
   const Prepared<SessionParams> given(context, file);
-  // Before any work, because it also checks the slots that the session does not use.
+  // Before any work, because both also check the slots that the session does not use; the identity first, because it names the
+  // plugins of all folds, in whose folders the saved config must search.
+  const Identity identity = given.identity("run");
   ConfigNode whole = given.saved_config();
   const auto folder =
       result_folder(context, std::filesystem::path(file).stem().string() + "-seed" + std::to_string(given.seed));
-  const Identity identity = given.identity("run");
   require_unmixed(context, folder, identity);
   const auto steps = session_steps(given.params, given.config);
   const bool is_sequence = !given.params.manipulations.is_null();

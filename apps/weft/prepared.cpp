@@ -19,6 +19,13 @@ std::filesystem::path model_file(const Context& context, const std::string& comm
   return context.out;
 }
 
+std::vector<IdentityInput::Fold> identity_folds(const SessionParams& params, const ConfigNode& config) {
+  std::vector<IdentityInput::Fold> folds;
+  if (params.manipulations.is_null()) return folds;
+  for (auto& step : session_steps(params, config)) folds.push_back({step.config, step.resolved});
+  return folds;
+}
+
 Identity learning_identity(const Prepared<ExperimentParams>& given, const std::string& command,
                            const std::vector<std::string>& folders) {
   for (const auto& folder : folders) list_shards(folder);  // says what is wrong with it

@@ -14,6 +14,9 @@
 
 namespace weft::app {
 
+/// For IdentityInput: none of a session of one fold.
+std::vector<IdentityInput::Fold> identity_folds(const SessionParams& params, const ConfigNode& config);
+
 /// A config as a command needs it: its parameters, the task and the host. Errors in the config show here, before any
 /// work.
 /// @tparam Params SessionParams, or derived from it.
@@ -45,8 +48,8 @@ struct Prepared {
       std::vector<std::filesystem::path> data = {}) const {
     const auto params_of_config = describe_params<Params>();
     besides.insert(besides.begin(), {"command", command});
-    return make_identity(
-        {config, resolved, params_of_config, task, *registry, keep, std::move(besides), std::move(data)});
+    return make_identity({config, resolved, params_of_config, task, *registry, keep, std::move(besides),
+                          std::move(data), identity_folds(params, config)});
   }
   std::string provenance(const Identity& identity) const { return provenance_json(*registry, seed, identity); }
   /// The resolved config for a result's folder, see self_contained().

@@ -90,14 +90,29 @@ void add_process_options(CLI::App& command, const std::string& unit, WorkOptions
   add_cluster_options(command, options.cluster);
 }
 
+FolderTurn::FolderTurn(Context& context, const std::filesystem::path& folder, const std::string& work)
+    : claims_(folder / "claims") {
+  const auto waiting = [&] {
+    context.say("another process is at work in " + folder.string() + "; waiting for its results");
+  };
+  if (!take_in_turn(claims_, work, waiting, [&] { return context.cancel_flag()->load(); }))
+    throw Interrupted("interrupted; run the same command again");
+}
+
 void warn_of_failures(const std::vector<WorkStatus>& statuses, std::size_t total, const std::string& what) {
   const std::string failures = failures_text(statuses);
   if (failures.empty()) return;
   const auto failed = std::count_if(statuses.begin(), statuses.end(), [](auto s) { return s != WorkStatus::done; });
-  const bool accidents =
-      std::any_of(statuses.begin(), statuses.end(), [](auto s) { return tries_again(Retry::accidents, s); });
-  std::fprintf(stderr, "warning: %td of %zu %s failed: %s; %s tries them again\n", failed, total, what.c_str(),
-               failures.c_str(), accidents ? "--retry-failed" : "--retry-failed=all");
+  const auto accidents =
+      std::count_if(statuses.begin(), statuses.end(), [](auto s) { return tries_again(Retry::accidents, s); });
+  std::string remedy = "--retry-failed tries them again";
+  if (accidents == 0)
+    remedy = "--retry-failed=all tries them again";
+  else if (accidents < failed)
+    remedy =
+        "--retry-failed tries " + std::to_string(accidents) + " of them again, --retry-failed=all tries all of them";
+  std::fprintf(stderr, "warning: %td of %zu %s failed: %s; %s\n", failed, total, what.c_str(), failures.c_str(),
+               remedy.c_str());
 }
 
 }  // namespace weft::app

@@ -5,6 +5,7 @@
 #include "cluster_run.hpp"
 #include "context.hpp"
 #include "experiments/sweep.hpp"
+#include "processes/claims.hpp"
 #include "processes/work_status.hpp"
 
 namespace weft::app {
@@ -28,6 +29,16 @@ struct WorkOptions {
 void add_work_options(CLI::App& command, const std::string& unit, WorkOptions& options);
 /// Those of them that say how child processes work, for commands that keep no rows. @param unit "case" or "batch".
 void add_process_options(CLI::App& command, const std::string& unit, WorkOptions& options);
+
+/// The work of a folder that one process does at a time, while this lives. Another one waits, and says so.
+class FolderTurn {
+ public:
+  /// @param work names it. @throws Interrupted if the user asks to stop while it waits.
+  FolderTurn(Context& context, const std::filesystem::path& folder, const std::string& work);
+
+ private:
+  Claims claims_;
+};
 
 /// The cells of a sweep as work for a cluster. @param folders of rows, from the results' folder.
 ClusterWork sweep_work(const std::string& command, const std::filesystem::path& results,

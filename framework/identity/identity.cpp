@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "identity/sha256.hpp"
 #include "sdk/files.hpp"
@@ -44,6 +45,26 @@ std::string mesh_hash(const Garment& garment) {
   return hash.hex();
 }
 
+/// What `one` has that `other` has not, or otherwise. Nothing: both are equal.
+std::optional<ordered_json> differences(const ordered_json& one, const ordered_json& other) {
+  if (one == other) return std::nullopt;
+  if (!one.is_object() || !other.is_object()) return one;
+  ordered_json all = ordered_json::object();
+  for (const auto& [name, value] : one.items()) {
+    const auto found = other.find(name);
+    const auto own = found == other.end() ? std::optional(value) : differences(value, *found);
+    if (own) all[name] = *own;
+  }
+  return all;
+}
+
+/// Numbers however they are spelled: 5 is 5.0.
+void spell_alike(ordered_json& json) {
+  if (json.is_number_integer()) json = json.get<double>();
+  if (json.is_structured())
+    for (auto& value : json) spell_alike(value);
+}
+
 class Collector {
  public:
   explicit Collector(const IdentityInput& input) : input_(input) {}
@@ -51,6 +72,7 @@ class Collector {
   ordered_json document() {
     const ConfigNode resolved = input_.registry.resolve_slots(input_.resolved, input_.params);
     ordered_json config = keys(resolved, input_.given, input_.params, input_.keep, "");
+    if (!input_.folds.empty()) config["manipulations"] = folds(config);
     for (const auto& [name, text] : input_.besides) config[name] = text;
     for (std::size_t i = 0; i < input_.data.size(); ++i) {
       const std::string key = "data " + std::to_string(i + 1);
@@ -61,6 +83,20 @@ class Collector {
   const std::map<std::string, std::string>& files() const { return files_; }
 
  private:
+  /// @param config of the whole session.
+  ordered_json folds(const ordered_json& config) {
+    ordered_json all = ordered_json::object();
+    for (std::size_t k = 0; k < input_.folds.size(); ++k) {
+      const auto& [given, resolved] = input_.folds[k];
+      const std::string number = std::to_string(k);
+      ordered_json own = keys(input_.registry.resolve_slots(resolved, input_.params), given, input_.params, input_.keep,
+                              "manipulations." + number + ".");
+      own.erase("manipulations");
+      all[number] = differences(own, config).value_or(ordered_json::object());
+    }
+    return all;
+  }
+
   /// @param written the mapping as it was written, which may lack keys. @param path of the mapping, with a dot.
   ordered_json keys(const ConfigNode& resolved, const ConfigNode& written, const std::vector<ParamInfo>& params,
                     const std::function<bool(const ParamInfo&)>& keep, const std::string& path) {
@@ -107,15 +143,31 @@ class Collector {
     return "sha256 " + hash;
   }
 
-  /// The task's garment and material, as they were read.
+  /// The task's garment and material, as they were read; of others the whole mapping.
   ordered_json contents(const std::string& name, const ConfigNode& node) const {
     const Garment* garment = input_.task.garment.get();
     if (name == "material") return ordered_json::parse(write_material_space(input_.task.material).to_json());
     if (name == "garment" && garment != nullptr) {
       return {{"name", garment->name}, {"vertices", garment->vertices}, {"mesh", "sha256 " + mesh_hash(*garment)}};
     }
-    return node.is_scalar() ? ordered_json("sha256 " + sha256_of_file(node.as_path()))
-                            : ordered_json::parse(node.to_json());
+    const ConfigNode all = whole(node, 0);
+    if (all.is_scalar() && !all.as_string().empty()) return file_hash(all);
+    auto json = ordered_json::parse(all.to_json());
+    spell_alike(json);
+    return json;
+  }
+
+  static std::string file_hash(const ConfigNode& file) { return "sha256 " + sha256_of_file(file.as_path()); }
+
+  /// A mapping with the keys of the YAML files that it lies in or begins with. A file that is no YAML stays a name.
+  static ConfigNode whole(const ConfigNode& node, int depth) {
+    constexpr int kMostFiles = 8;
+    if (depth > kMostFiles) node.fail("leads through more than " + std::to_string(kMostFiles) + " files");
+    if (node.is_scalar() && is_yaml(node.as_path())) return whole(ConfigNode::load(node.as_path()), depth + 1);
+    if (!node.is_mapping() || !node.has("file")) return node;
+    const ConfigNode base = whole(node.at("file"), depth + 1);
+    return base.is_mapping() ? base.merged(node.without("file"))
+                             : node.with("file", ConfigNode::quoted(file_hash(base)));
   }
 
   /// Notes the files behind a key: the one that it names, and those that are named in it.

@@ -51,6 +51,12 @@ struct IdentityInput {
   std::vector<std::pair<std::string, std::string>> besides = {};
   /// Folders of examples that are read, and files that the config does not name.
   std::vector<std::filesystem::path> data = {};
+  /// The folds that follow one another, which `resolved` has as a bare list in `manipulations`. Of each one what differs from
+  /// `resolved` belongs to the identity, under "manipulations.K."; without folds the list itself does.
+  struct Fold {
+    ConfigNode given, resolved;
+  };
+  std::vector<Fold> folds = {};
 };
 /// @throws ConfigError, PluginError for a file or plugin that is missing.
 Identity make_identity(const IdentityInput& input);

@@ -1,13 +1,17 @@
 #include "loader/plugin_info.hpp"
 
+#include <elf.h>
+
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
 #include <fstream>
 #include <iterator>
 #include <optional>
 #include <string_view>
 
+#include "sdk/files.hpp"
 #include "weft/error.hpp"
 #include "weft/optimiser.hpp"
 #include "weft/plugin.hpp"
@@ -75,6 +79,29 @@ std::pair<std::string, std::string> named_by(const std::filesystem::path& file) 
     if (stem.starts_with(prefix) && stem.size() > prefix.size()) return {kind, stem.substr(prefix.size())};
   }
   return {};
+}
+
+std::string no_library(const std::filesystem::path& file) {
+  if (const std::string other = no_file(file); !other.empty()) return other + ", must be a library";
+  if (is_lfs_pointer_file(file)) return kLfsPointer;
+  std::error_code unknown;
+  const std::uintmax_t size = std::filesystem::file_size(file, unknown);
+  std::ifstream stream(file, std::ios::binary);
+  if (unknown || !stream) return "";  // dlopen() says why it cannot be read
+  if (size == 0) return "is empty; copy it or build it again";
+  Elf64_Ehdr head{};
+  stream.read(reinterpret_cast<char*>(&head), sizeof(head));
+  const auto got = static_cast<std::size_t>(stream.gcount());
+  if (got < SELFMAG || std::memcmp(head.e_ident, ELFMAG, SELFMAG) != 0)
+    return "is no library: it does not begin like an ELF file";
+  const bool is_ours = head.e_ident[EI_CLASS] == ELFCLASS64 && head.e_ident[EI_DATA] == ELFDATA2LSB;
+  if (got > EI_DATA && !is_ours) return "";  // dlopen() refuses it
+  // Linkers put the table of sections last, so a file that was cut lacks it.
+  const std::uint64_t whole = std::max<std::uint64_t>(
+      sizeof(head), got < sizeof(head) ? 0 : head.e_shoff + std::uint64_t{head.e_shnum} * head.e_shentsize);
+  if (size >= whole) return "";
+  return "was cut short: it has " + std::to_string(size) + " bytes, must have at least " + std::to_string(whole) +
+         "; copy it or build it again";
 }
 
 std::string other_abi_in(const std::filesystem::path& file) {

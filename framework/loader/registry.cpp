@@ -58,6 +58,21 @@ struct Library {
   dll::shared_library handle;
 };
 
+/// @return what the dynamic linker says if that fails.
+std::string load(dll::shared_library& library, const fs::path& file) {
+  // Boost adds the text of errno, which dlopen() does not set.
+  const std::string path = fs::absolute(file).string();
+  void* opened = dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL);
+  if (opened == nullptr) {
+    const char* reason = dlerror();
+    const std::string text = reason == nullptr ? "the dynamic linker gives no reason" : reason;
+    return text.starts_with(path + ": ") ? text.substr(path.size() + 2) : text;
+  }
+  library.load(boost::filesystem::path(path), dll::load_mode::rtld_now | dll::load_mode::rtld_local);
+  dlclose(opened);  // `library` holds it now
+  return "";
+}
+
 /// @throws PluginError with the reason, both sides and the remedy.
 std::shared_ptr<const Library> open_library(const fs::path& file) {
   const auto refuse = [&](const std::string& reason) -> void {
@@ -65,6 +80,7 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   };
   std::error_code ignored;
   if (!fs::exists(file, ignored)) refuse("no such file");
+  if (const std::string reason = no_library(file); !reason.empty()) refuse(reason);
   if (const std::string missing = missing_instructions(file); !missing.empty()) {
     refuse("was compiled for instructions that this processor has not (" + missing +
            "); use another machine, or build it without MARCH or -march");
@@ -77,7 +93,7 @@ std::shared_ptr<const Library> open_library(const fs::path& file) {
   try {
     const std::string name = "library " + file.string();
     const PluginCall entry(name.c_str(), "loading");
-    library->handle.load(boost::filesystem::path(file.string()), dll::load_mode::rtld_now | dll::load_mode::rtld_local);
+    detail = load(library->handle, file);
     // A library that it needs may have set the user's locale; weft writes numbers with a point.
     std::setlocale(LC_NUMERIC, "C");
   } catch (const std::exception& failure) {

@@ -274,6 +274,16 @@ std::string Claims::this_machine() {
   return (boot.empty() ? kUnknown : boot) + "/" + space;
 }
 
+bool take_in_turn(Claims& claims, const std::string& name, const std::function<void()>& waiting,
+                  const std::function<bool()>& cancelled) {
+  for (bool is_first = true; !claims.take(name); is_first = false) {
+    if (is_first) waiting();
+    if (cancelled()) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(500));
+  }
+  return true;
+}
+
 Leftovers::Leftovers(const fs::path& folder) {
   std::error_code none;
   for (const auto& entry : fs::directory_iterator(folder, none)) {

@@ -1,5 +1,6 @@
 #pragma once
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -50,6 +51,11 @@ class Claims {
   struct State;
   std::unique_ptr<State> state_;
 };
+
+/// Takes a claim, or waits until the process that has it gives it up or dies.
+/// @param waiting called once, when it begins to wait. @param cancelled asked twice a second. @return false: cancelled.
+bool take_in_turn(Claims& claims, const std::string& name, const std::function<void()>& waiting,
+                  const std::function<bool()>& cancelled);
 
 /// Temporary files, FILE.tmp..., that were in a folder before this process began: killed processes left them, or another
 /// process is about to rename them.

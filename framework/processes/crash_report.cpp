@@ -8,6 +8,7 @@
 #include <link.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -20,6 +21,7 @@
 #include <mutex>
 
 #include "processes/child_process.hpp"
+#include "weft/export.hpp"
 
 // What runs inside a signal handler takes no memory from the heap, which the crash may have damaged, and takes no lock
 // but the dynamic linker's. An alarm ends the program when that one is held.
@@ -46,6 +48,7 @@ std::atomic<int> report_file = -1;
 std::atomic<WhereWriter> where_writer = nullptr;
 std::atomic<int> watches = 0;
 std::atomic<bool> reported = false;
+std::atomic<pid_t> watched_process = -1;
 char plain_line[2048];  // what write_line() prints if the nicer text cannot be made
 
 template <std::size_t N>
@@ -97,11 +100,19 @@ void find_function(const char* file, std::uint64_t offset, char (&name)[sizeof(C
   munmap(mapped, size);
 }
 
-/// @param crashed_at the instruction that raised the signal; null: none did.
-void fill(CrashReport& report, int signal, int exit_code, const void* crashed_at) {
+/// What ends the process.
+struct Ending {
+  int signal = 0;
+  const void* crashed_at = nullptr;  ///< the instruction that raised the signal
+  const char* call = "";             ///< if there is no signal
+  int exit_code = 0;
+};
+
+void fill(CrashReport& report, const Ending& ending) {
   std::memcpy(report.magic, kMagic, sizeof(kMagic));
-  report.signal = signal;
-  report.exit_code = exit_code;
+  report.signal = ending.signal;
+  report.exit_code = ending.exit_code;
+  copy_text(report.call, ending.call);
   if (const WhereWriter where = where_writer) where(report.where, sizeof(report.where));
   void* frames[128];
   const int depth = backtrace(frames, 128);
@@ -111,7 +122,8 @@ void fill(CrashReport& report, int signal, int exit_code, const void* crashed_at
     copy_text(report.plugin, plugin->name);
     copy_text(report.library, plugin->file);
     // A return address is that of the next instruction, which may belong to the next function.
-    report.offset = reinterpret_cast<std::uintptr_t>(frames[i]) - plugin->base - (frames[i] == crashed_at ? 0 : 1);
+    report.offset =
+        reinterpret_cast<std::uintptr_t>(frames[i]) - plugin->base - (frames[i] == ending.crashed_at ? 0 : 1);
     find_function(plugin->file, report.offset, report.function);
     return;
   }
@@ -121,7 +133,7 @@ void fill(CrashReport& report, int signal, int exit_code, const void* crashed_at
 void print_signal(const CrashReport& report, char* text, std::size_t size) {
   const char* name = report.signal != 0 ? sigabbrev_np(report.signal) : nullptr;
   if (report.signal == 0)
-    std::snprintf(text, size, "a call of exit(%d)", report.exit_code);
+    std::snprintf(text, size, "a call of %s(%d)", report.call, report.exit_code);
   else if (name == nullptr)
     std::snprintf(text, size, "signal %d", report.signal);
   else
@@ -155,6 +167,11 @@ void write_all(int file, const char* bytes, std::size_t size) {
   }
 }
 
+/// What _exit() is without this file.
+[[noreturn]] void end_now(int code) {
+  while (true) syscall(SYS_exit_group, code);
+}
+
 [[noreturn]] void end_as(int signal) {
   std::signal(signal, SIG_DFL);
   sigset_t one;
@@ -162,7 +179,7 @@ void write_all(int file, const char* bytes, std::size_t size) {
   sigaddset(&one, signal);
   pthread_sigmask(SIG_UNBLOCK, &one, nullptr);
   raise(signal);
-  _exit(128 + signal);
+  end_now(128 + signal);
 }
 
 std::atomic<int> ends_with = 0;
@@ -171,10 +188,10 @@ void print_line_and_end(int) {
   end_as(ends_with);
 }
 
-void write_report(int signal, int exit_code, const void* crashed_at) {
+void write_report(const Ending& ending) {
   alarm(kCrashReportSeconds);
   static CrashReport report;  // handlers have little stack
-  fill(report, signal, exit_code, crashed_at);
+  fill(report, ending);
   const int file = report_file;
   if (file == kCrashReportFile) {
     write_all(file, reinterpret_cast<const char*>(&report), sizeof(report));
@@ -185,7 +202,7 @@ void write_report(int signal, int exit_code, const void* crashed_at) {
   print_place(report, report.function, place, sizeof(place));
   std::snprintf(plain_line, sizeof(plain_line), "error: %s in %s\n", what, place);
   // Names that people can read take memory from the heap. If that fails, the line above is printed.
-  ends_with = signal == 0 ? SIGABRT : signal;
+  ends_with = ending.signal == 0 ? SIGABRT : ending.signal;
   struct sigaction plain {};
   plain.sa_handler = print_line_and_end;
   plain.sa_flags = SA_NODEFER | SA_ONSTACK;
@@ -197,17 +214,32 @@ void write_report(int signal, int exit_code, const void* crashed_at) {
 void on_fatal_signal(int signal, siginfo_t*, void* context) {
   if (!reported.exchange(true)) {
     const auto& registers = static_cast<const ucontext_t*>(context)->uc_mcontext.gregs;
-    write_report(signal, 0, reinterpret_cast<const void*>(registers[REG_RIP]));
+    write_report({.signal = signal, .crashed_at = reinterpret_cast<const void*>(registers[REG_RIP])});
   } else {
     pause();  // another thread reports, and ends the program
   }
   end_as(signal);
 }
 
-void on_exit_call(int code, void*) {
-  if (watches == 0 || reported.exchange(true)) return;
-  write_report(0, code, nullptr);
-  _exit(1);
+/// Returns if weft itself ends, or a process that was forked from it.
+void before_exit(const char* call, int code) {
+  if (watches == 0 || getpid() != watched_process) return;
+  while (reported.exchange(true)) pause();  // another thread reports, and ends the program
+  write_report({.call = call, .exit_code = code});
+  end_now(1);
+}
+
+void on_exit_call(int code, void*) { before_exit("exit", code); }
+
+/// The function of this name that this file hides: the C library's, or a sanitizer's. It is looked up before main(),
+/// since dlsym() takes a lock that a forked process may never get.
+using EndFunction = void (*)(int);
+EndFunction hidden(const char* name) { return reinterpret_cast<EndFunction>(dlsym(RTLD_NEXT, name)); }
+const EndFunction hidden_exit = hidden("_exit"), hidden_quick_exit = hidden("quick_exit");
+
+[[noreturn]] void end_by(EndFunction end, int code) {
+  if (end != nullptr) end(code);  // null only before this file's variables are initialised
+  end_now(code);
 }
 
 }  // namespace
@@ -249,6 +281,7 @@ void install_crash_report(int file, WhereWriter where) {
   backtrace(frames, 4);  // loads what it needs now, and not in the handler
   static const CrashStack main_thread;
   for (const int signal : kFatal) report_before_end(signal);
+  watched_process = getpid();
   on_exit(on_exit_call, nullptr);
 }
 
@@ -302,3 +335,21 @@ void announce_plugin(const std::string& plugin, const void* symbol) {
 }
 
 }  // namespace weft
+
+// The C library calls no handler of on_exit() before these three end the program. So a program that has this file defines
+// them itself, and plugins call its definitions: the dynamic linker searches the program before libraries. exit() in the
+// C library does not come here. A plugin that makes the system call itself cannot be seen.
+extern "C" {
+WEFT_API void _exit(int code) {
+  weft::before_exit("_exit", code);
+  weft::end_by(weft::hidden_exit, code);
+}
+WEFT_API void _Exit(int code) noexcept {
+  weft::before_exit("_Exit", code);
+  weft::end_by(weft::hidden_exit, code);
+}
+WEFT_API void quick_exit(int code) noexcept {
+  weft::before_exit("quick_exit", code);
+  weft::end_by(weft::hidden_quick_exit, code);
+}
+}

@@ -16,8 +16,9 @@ using WhereWriter = std::size_t (*)(char* buffer, std::size_t size) noexcept;
 /// Plain data, so that a signal handler can write it into a pipe as it is.
 struct CrashReport {
   char magic[8];        ///< "wcrash1"
-  std::int32_t signal;  ///< 0: the process called exit()
+  std::int32_t signal;  ///< 0: the process called exit() or the like
   std::int32_t exit_code;
+  char call[16];         ///< "exit", "_exit", "_Exit" or "quick_exit"; empty if there was a signal
   char where[400];       ///< what WhereWriter wrote of the thread that crashed
   char plugin[104];      ///< "simulator cloth"; empty: no plugin's code was being run
   char library[256];     ///< file that holds `function`
@@ -33,8 +34,9 @@ struct CrashReport {
 /// What ChildProcess::crash_report() holds. @return false if it is no report.
 bool read_crash_report(std::string_view bytes, CrashReport& report);
 
-/// From now on, a signal that would end this program, and a call of exit() in a CrashWatch, are reported first; then
-/// the program ends as it would have. The innermost function that belongs to a plugin is blamed.
+/// From now on, a signal that would end this program, and a call of exit(), _exit(), _Exit() or quick_exit() in a
+/// CrashWatch, are reported first; then the program ends as it would have. The innermost function that belongs to a plugin
+/// is blamed. A process that was forked from this one reports no call.
 /// @param file kCrashReportFile: the report goes there as it is; STDERR_FILENO: as one line "error: ...". @param where may be null.
 void install_crash_report(int file, WhereWriter where);
 
@@ -56,7 +58,7 @@ class CrashStack {
   std::unique_ptr<char[]> memory_;
 };
 
-/// While it exists, exit() by another than main() is reported, and ends the program with code 1.
+/// While it exists, a call of exit(), _exit(), _Exit() or quick_exit() is reported, and ends the program with code 1.
 class CrashWatch {
  public:
   CrashWatch();

@@ -149,10 +149,10 @@ template <class Failure = ConfigError>
 
 std::string read_text(const fs::path& file, const Asker& asker) {
   std::error_code ignored;
-  if (fs::is_directory(file, ignored)) {
+  if (const std::string other = no_text_file(file); !other.empty()) {
     const fs::path own = file / "config.yaml";  // of results
     fail_file(file, asker,
-              "is a folder, must be a YAML file" + (fs::exists(own, ignored) ? "; it holds " + own.string() : ""));
+              other + ", must be a YAML file" + (fs::exists(own, ignored) ? "; it holds " + own.string() : ""));
   }
   std::ifstream stream(file, std::ios::binary);
   if (!stream) {

@@ -110,6 +110,36 @@ void make_folder_for_results(const fs::path& folder) {
   if (const std::string problem = folder_problem(folder); !problem.empty()) throw WriteError(problem);
 }
 
+std::string no_file(const fs::path& file) {
+  std::error_code none;
+  switch (fs::status(file, none).type()) {
+    case fs::file_type::directory:
+      return "is a folder";
+    case fs::file_type::fifo:
+      return "is a pipe";
+    case fs::file_type::socket:
+      return "is a socket";
+    case fs::file_type::character:
+    case fs::file_type::block:
+      return "is a device";  // it may never end
+    default:
+      return "";
+  }
+}
+
+std::string no_text_file(const fs::path& file) {
+  const fs::path folder = file.parent_path();
+  const bool is_given = file == "/dev/stdin" || folder == "/dev/fd" || folder == "/proc/self/fd";
+  return is_given ? "" : no_file(file);
+}
+
+void require_file(const fs::path& file) {
+  std::error_code none;
+  if (const std::string other = no_file(file); !other.empty())
+    throw ConfigError(file.string() + ": " + other + ", must be a file");
+  if (!fs::exists(file, none)) throw ConfigError(file.string() + ": no such file");
+}
+
 bool is_lfs_pointer(std::string_view beginning) { return beginning.starts_with("version https://git-lfs.github.com/"); }
 
 bool is_lfs_pointer_file(const fs::path& file) {
@@ -124,7 +154,8 @@ bool is_lfs_pointer_file(const fs::path& file) {
 std::optional<std::string> whole_text_if_there(const fs::path& file) {
   std::error_code none;
   if (!fs::exists(file, none)) return std::nullopt;
-  if (fs::is_directory(file, none)) throw ReadError(file.string() + ": is a folder, must be a file");
+  if (const std::string other = no_text_file(file); !other.empty())
+    throw ReadError(file.string() + ": " + other + ", must be a file");
   errno = 0;
   std::ifstream stream(file, std::ios::binary);
   std::string text{std::istreambuf_iterator<char>(stream), {}};

@@ -18,6 +18,15 @@ WEFT_API void make_writable_folder(const std::filesystem::path& folder);
 /// The same after work has begun. @throws WriteError: the folder could be written before.
 WEFT_API void make_folder_for_results(const std::filesystem::path& folder);
 
+/// What stands in the place of a file: "is a folder", "is a pipe", "is a socket", "is a device". Empty: a file, or nothing.
+/// A pipe that nobody writes to keeps its reader waiting for ever, so ask before a file is opened.
+WEFT_API std::string no_file(const std::filesystem::path& file);
+/// The same for a text that is read once, from its beginning: /dev/stdin and /dev/fd/63, which is what a shell makes of
+/// `<(...)`, may be pipes.
+WEFT_API std::string no_text_file(const std::filesystem::path& file);
+/// @throws ConfigError with the file's name: "no such file", "is a pipe, must be a file".
+WEFT_API void require_file(const std::filesystem::path& file);
+
 /// Whether a file that begins like this is a pointer of Git LFS in the place of the file itself.
 WEFT_API bool is_lfs_pointer(std::string_view beginning);
 /// The same of a file, which need not exist.
@@ -27,7 +36,7 @@ inline constexpr const char* kLfsPointer =
     "is a Git LFS pointer, not the file itself; run `git lfs pull` in its repository";
 
 /// The whole of a file that weft or a user wrote, such as JSON. @throws ConfigError if there is none, ReadError if it cannot
-/// be read or is a pointer of Git LFS; with the file's name.
+/// be read, is a pointer of Git LFS or is no file; with the file's name.
 WEFT_API std::string whole_text(const std::filesystem::path& file);
 /// The same; nothing if there is no such file.
 WEFT_API std::optional<std::string> whole_text_if_there(const std::filesystem::path& file);

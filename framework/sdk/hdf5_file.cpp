@@ -105,8 +105,6 @@ std::optional<long long> number_after(const std::string& text, const std::string
 
 /// Why a file that can be read cannot be opened, and what to do. @throws ReadError if it cannot be read now.
 std::string open_problem(const fs::path& file, const std::string& failure) {
-  std::error_code ignored;
-  if (fs::is_directory(file, ignored)) return "is a folder, must be an HDF5 file";
   if (failure.find("unable to lock file") != std::string::npos) {
     throw ReadError(file.string() +
                     ": is locked: another program writes it; wait until that has ended. If the file system has no "
@@ -282,6 +280,8 @@ Hdf5File Hdf5File::open(const fs::path& file) {
   H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
   std::error_code ignored;
   if (!fs::exists(file, ignored)) throw ConfigError(file.string() + ": does not exist");
+  if (const std::string other = no_file(file); !other.empty())
+    throw ConfigError(file.string() + ": " + other + ", must be an HDF5 file");
   auto impl = std::make_unique<Impl>();
   impl->file = file;
   impl->id = H5Fopen(file.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT);

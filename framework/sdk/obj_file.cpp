@@ -35,9 +35,7 @@ std::string quote(std::string_view text) {
 
 std::string read_whole(const std::filesystem::path& path) {
   std::error_code error;
-  const auto status = std::filesystem::status(path, error);
-  if (error || !std::filesystem::exists(status)) throw ConfigError(path.string() + ": no such file");
-  if (!std::filesystem::is_regular_file(status)) throw ConfigError(path.string() + ": not a file");
+  require_file(path);
   const auto size = std::filesystem::file_size(path, error);
   if (error) throw ReadError(path.string() + ": cannot be read: " + error.message());
   if (size > kMaxFileBytes) {

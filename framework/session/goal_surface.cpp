@@ -8,6 +8,7 @@
 #include <limits>
 #include <utility>
 
+#include "sdk/files.hpp"
 #include "session/shape_errors.hpp"
 #include "weft/error.hpp"
 
@@ -239,7 +240,7 @@ double GoalSurface::iou(const Positions& shape) const {
 void read_mask(const std::filesystem::path& file, double metres_per_pixel, const Eigen::Vector2d& origin,
                Positions& positions, Faces& faces) {
   const auto fail = [&](const std::string& problem) { throw ConfigError(file.string() + ": " + problem); };
-  if (!std::filesystem::is_regular_file(file)) fail("no such file");
+  require_file(file);
   png_image image{};
   image.version = PNG_IMAGE_VERSION;
   if (png_image_begin_read_from_file(&image, file.c_str()) == 0) fail(std::string("is no PNG: ") + image.message);

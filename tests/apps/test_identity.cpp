@@ -274,6 +274,63 @@ TEST(Identity, JsonOutputHasTheTimesAgain) {
   EXPECT_EQ(printed["error_mm"], saved["error_mm"]);
 }
 
+// What one fold of several has for itself counts as what the session has does: its plugin, its keys, but not its description.
+TEST(Identity, TheFoldsOfASequenceCount) {
+  const Files files;
+  const auto library = files.folder / "plugins/libweft_trajectory_drag.so";
+  fs::create_directories(library.parent_path());
+  fs::copy_file(WEFT_TRAJECTORY_DRAG, library);
+  const auto write = [&](const std::string& second) {
+    files.folder.write("folds.yaml",
+                       "extends: task.yaml\nplugin_path: [plugins]\nplanning: {horizon: 8}\n"
+                       "manipulations: [{}, {trajectory: {plugin: drag}, " +
+                           second + "}]\n");
+  };
+  files.folder.write("exp.yaml", "task: folds.yaml\nfactors:\n  planning.instances: [1]\nseeds: [1]\n");
+  write("description: first");
+  const Outcome made = weft_command(files.ablate("--quiet"));
+  ASSERT_EQ(made.code, 0) << made.output;
+  write("description: another");
+  EXPECT_EQ(weft_command(files.ablate("--quiet")).code, 0);
+  write("planning: {horizon: 9}");
+  EXPECT_THAT(weft_command(files.ablate("--quiet")).output, HasSubstr("manipulations.1.planning.horizon absent -> 9"));
+  write("description: first");
+  std::ofstream(library, std::ios::app | std::ios::binary) << "x";
+  const Outcome rebuilt = weft_command(files.ablate("--quiet"));
+  EXPECT_EQ(rebuilt.code, 2);
+  EXPECT_THAT(rebuilt.output, HasSubstr("plugin trajectory/drag: its library was built again"));
+}
+
+// A fabric that lies in a file behind a file counts by its numbers, not by its spelling.
+TEST(Identity, AFabricOfThePhysicsSuiteCountsWithTheFilesBehindIt) {
+  const Files files;
+  const auto write_base = [&](const std::string& density) {
+    files.folder.write("base.yaml",
+                       "density_kg_per_m2: " + density +
+                           "\nstretch_n_per_m: {warp: 110, weft: 165, shear: 55}\nfriction: 0.5\n"
+                           "bend_n_m: {warp: 1.6e-5, weft: 2.4e-5}\nself_friction: 0.3\nthickness_m: 0.001\n");
+  };
+  files.folder.write("mine.yaml", "file: base.yaml\nfriction: 0.4\n");
+  int number = 0;
+  for (const std::string fabric : {"mine.yaml", "base.yaml", "{file: base.yaml, friction: 0.4}"}) {
+    files.folder.write("physics.yaml",
+                       "extends: task.yaml\nsimulator: {plugin: cloth}\n"
+                       "physics: {tests: [bending length], fine_edge_m: 0.03, fabric: " +
+                           fabric + "}\n");
+    const auto out = files.folder / ("p" + std::to_string(++number));
+    const std::string evaluate = "evaluate physics " + quoted(files.folder / "physics.yaml") + " --out " + quoted(out);
+    write_base("0.15");
+    const Outcome first = weft_command(evaluate);
+    ASSERT_LE(first.code, 1) << first.output;
+    write_base("0.150  # the same");
+    EXPECT_THAT(weft_command(evaluate).output, HasSubstr("everything was measured before"));
+    write_base("0.6");
+    const Outcome other = weft_command(evaluate);
+    EXPECT_EQ(other.code, 2);
+    EXPECT_THAT(other.output, HasSubstr("density_kg_per_m2 0.15 -> 0.6")) << fabric;
+  }
+}
+
 // Case 11: a plugin that came by WEFT_PLUGIN_PATH was not found again by `weft run config.yaml` of its own result.
 TEST(Identity, ASavedConfigFindsItsPlugins) {
   const Files files;
@@ -296,6 +353,16 @@ TEST(Identity, ASavedConfigFindsItsPlugins) {
     const std::string text{std::istreambuf_iterator<char>(stream), {}};
     EXPECT_THAT(text, AllOf(HasSubstr("momentum"), HasSubstr("my plugins"))) << command;
   };
+  // Only the second fold needs the folder.
+  fs::create_directories(files.folder / "drags");
+  fs::copy_file(WEFT_TRAJECTORY_DRAG, files.folder / "drags/libweft_trajectory_drag.so");
+  ASSERT_LE(test::run_shell("WEFT_PLUGIN_PATH=" + quoted(files.folder / "drags") + " '" WEFT_PROGRAM "' run " +
+                            quoted(files.folder / "task.yaml") +
+                            " --set 'manipulations=[{}, {trajectory: {plugin: drag}}]' --quiet --out " +
+                            quoted(files.folder / "d"))
+                .code,
+            1);
+  EXPECT_THAT(tree_of(files.folder / "d")["config.yaml"], HasSubstr("/drags]"));
   const std::string task = quoted(files.folder / "task.yaml") + " --set optimiser=momentum --quiet --out ";
   finds_again("evaluate planning --widths 0.5 --cases 1 " + task + quoted(files.folder / "e"),
               files.folder / "e/config.yaml");

@@ -732,6 +732,23 @@ TEST(Program, EvaluatePhysicsGoesOnWithTheCasesThatHaveEnded) {
   }
 }
 
+TEST(Program, TwoProcessesThatEvaluatePhysicsDoItOnce) {
+  const Folder folder;
+  const auto config =
+      folder.write("physics.yaml", kTowelTask + "physics: {tests: [free fall, hanging], garment_edge_m: 0.05}\n");
+  const std::string evaluate = "'" WEFT_PROGRAM "' evaluate physics '" + config.string() + "' --jobs 1 --out '" +
+                               (folder / "out").string() + "'";
+  const Outcome both = test::run_shell("unset WEFT_PLUGIN_PATH; " + evaluate + " & " + evaluate + "; wait");
+  const auto times = [&](const std::string& text) {
+    int count = 0;
+    for (auto at = both.output.find(text); at != std::string::npos; at = both.output.find(text, at + 1)) ++count;
+    return count;
+  };
+  EXPECT_EQ(times("everything was measured before"), 1) << both.output;
+  EXPECT_EQ(times("results in"), 2) << both.output;
+  EXPECT_FALSE(std::filesystem::exists(folder / "out/claims"));
+}
+
 TEST(Program, WhatASimulatorCannotHonourIsSaid) {
   const Folder folder;
   const auto task =

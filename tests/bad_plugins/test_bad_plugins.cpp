@@ -40,9 +40,12 @@ const std::map<std::string, std::string>& refusals() {
       {"wrong_type_size", "in it Variable has " + std::to_string(sizeof(Variable) + 8) + " bytes, in this weft " +
                               std::to_string(sizeof(Variable)) + "; rebuild it"},
       {"other_processor", "was compiled for instructions that this processor has not ("},
-      {"not_a_library", "cannot be loaded as a shared library: "},
-      {"empty", "cannot be loaded as a shared library: "},
-      {"undefined_symbol", "undefined symbol: _Z24weft_nobody_defines_thisd"},
+      {"not_a_library", "is no library: it does not begin like an ELF file"},
+      {"empty", "is empty; copy it or build it again"},
+      {"lfs_pointer", "is a Git LFS pointer, not the file itself; run `git lfs pull` in its repository"},
+      {"cut_short", "was cut short: it has 5000 bytes, must have at least "},
+      {"undefined_symbol",
+       "refused: cannot be loaded as a shared library: undefined symbol: _Z24weft_nobody_defines_thisd"},
   };
   return map;
 }

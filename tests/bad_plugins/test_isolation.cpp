@@ -43,9 +43,13 @@ TEST(Isolation, RunNamesThePluginAndTheCall) {
                                  HasSubstr("write_nowhere"), HasSubstr("minimise()")));
   const Outcome overflow = run("overflow");
   EXPECT_THAT(overflow.output, AllOf(HasSubstr("error: SIGSEGV"), HasSubstr("plugin optimiser misbehaves")));
-  const Outcome left = run("exit");
-  EXPECT_EQ(left.code, 1) << left.output;
-  EXPECT_THAT(left.output, AllOf(HasSubstr("a call of exit(0)"), HasSubstr("plugin optimiser misbehaves")));
+  for (const std::string call : {"exit", "_exit", "_Exit", "quick_exit"}) {
+    const Outcome left = run(call);
+    EXPECT_EQ(left.code, 1) << left.output;
+    EXPECT_THAT(left.output, AllOf(HasSubstr("error: a call of " + call + "(0) in plugin optimiser misbehaves"),
+                                   HasSubstr("Misbehaves::minimise"), HasSubstr("minimise()")));
+  }
+  EXPECT_THAT(run("fork").output, AllOf(HasSubstr("the forked process ended with 7"), Not(HasSubstr("a call of"))));
   EXPECT_THAT(run("abort").output, AllOf(HasSubstr("error: SIGABRT"), HasSubstr("plugin optimiser misbehaves")));
   const Outcome thrown = run("throw");
   EXPECT_EQ(thrown.code, 1);
@@ -80,13 +84,13 @@ TEST(Isolation, CostsItsCellOnly) {
   const Folder folder;
   folder.write("task.yaml", kTask);
   std::string factors = "task: task.yaml\nseeds: [1]\nfactors:\n  optimiser:\n    good: {optimiser: {plugin: rprop}}\n";
-  for (const char* how : {"segv", "abort", "exit", "throw", "thread_throws", "loop"})
+  for (const char* how : {"segv", "abort", "exit", "_exit", "throw", "thread_throws", "loop"})
     factors += std::string("    ") + how + ": {optimiser: " + misbehaving(how) + "}\n";
   const auto file = folder.write("ablation.yaml", factors);
   const std::string command = "ablate '" + file.string() + "' --out '" + (folder / "out").string() + "' --jobs 2 ";
   const Outcome first = weft_command(command + "--cell-limit 3 --quiet");
   EXPECT_EQ(first.code, 1);
-  EXPECT_THAT(first.output, HasSubstr("warning: 6 of 7 cells failed: 1 refused, 4 crashed, 1 hung; --retry-failed"));
+  EXPECT_THAT(first.output, HasSubstr("warning: 7 of 8 cells failed: 1 refused, 5 crashed, 1 hung; --retry-failed"));
   std::ifstream stream(folder / "out/ablation.json");
   const auto json = nlohmann::json::parse(stream);
   const auto failure = [&](const std::string& name) {
@@ -103,6 +107,7 @@ TEST(Isolation, CostsItsCellOnly) {
               AllOf(HasSubstr("crashed: SIGSEGV"), blamed, HasSubstr("write_nowhere"), HasSubstr("minimise")));
   EXPECT_THAT(text("abort"), AllOf(HasSubstr("crashed: SIGABRT"), blamed));
   EXPECT_THAT(text("exit"), AllOf(HasSubstr("crashed: a call of exit(0)"), blamed));
+  EXPECT_THAT(text("_exit"), AllOf(HasSubstr("crashed: a call of _exit(0)"), blamed, HasSubstr("minimise")));
   EXPECT_THAT(text("throw"), AllOf(HasSubstr("refused: "), HasSubstr("misbehaves")));
   EXPECT_THAT(text("thread_throws"), AllOf(HasSubstr("crashed: SIGABRT"), blamed, HasSubstr("from a thread")));
   EXPECT_THAT(text("loop"), AllOf(HasSubstr("hung: used 3 s of CPU time"), blamed, HasSubstr("turn_for_ever")));
@@ -110,10 +115,10 @@ TEST(Isolation, CostsItsCellOnly) {
   // Nothing is run again unless it is asked for; then what crashed or hung is, and what was refused is not.
   const Outcome again = weft_command(command);
   EXPECT_EQ(again.code, 1);
-  EXPECT_THAT(again.output, Not(HasSubstr("/7  ")));
+  EXPECT_THAT(again.output, Not(HasSubstr("/8  ")));
   const Outcome retried = weft_command(command + "--retry-failed --cell-limit 3");
   EXPECT_EQ(retried.code, 1);
-  EXPECT_THAT(retried.output, AllOf(HasSubstr("7/7  "), HasSubstr("segv, seed 1: crashed: SIGSEGV"),
+  EXPECT_THAT(retried.output, AllOf(HasSubstr("8/8  "), HasSubstr("segv, seed 1: crashed: SIGSEGV"),
                                     Not(HasSubstr("throw, seed 1: refused")), Not(HasSubstr("good, seed 1"))));
   const Outcome all = weft_command(command + "--retry-failed=all --fail-fast --cell-limit 3");
   EXPECT_EQ(all.code, 1);

@@ -1,4 +1,6 @@
 // Sessions, datasets and models: sound HDF5 files with hostile contents.
+#include <hdf5.h>
+
 #include "apps/weft/exports.hpp"
 #include "fuzz.hpp"
 #include "hdf5_edits.hpp"
@@ -43,18 +45,28 @@ const char* const kProvenance =
     R"({"weft": "0.1.0", "identity": {"schema": "weft identity 1", "weft": "0.1.0", "config": {"seed": 1, "a": {"b": 2}},)"
     R"( "plugins": {"trajectory/arc": {"version": "1.0.0", "sha256": "0123456789abcdef"}}}})";
 
+/// The reason for which a file is refused, or empty.
+template <class Use>
+std::string refusal_of(const fs::path& file, Use&& use) {
+  const auto open = [] { return H5Fget_obj_count(static_cast<hid_t>(H5F_OBJ_ALL), H5F_OBJ_ALL); };
+  const ssize_t before = open();
+  const std::string reason = refusal([&] { use(file); });
+  if (open() != before) finding(file.string() + ": weft leaves it open in libhdf5");
+  return reason;
+}
+
 /// Opens an edited copy. A checksum that does not fit ends reading early, so it is then corrected once.
 template <class Use>
 void edited(const EditedFile& valid, std::string_view edits, const std::string& name, Use&& use) {
   const fs::path file = world().file(name);
   valid.write(edits, file);
-  const std::string reason = refusal([&] { use(file); });
+  const std::string reason = refusal_of(file, use);
   static constexpr std::string_view kSaid = "has the checksum ";
   const auto said = reason.find(kSaid);
   if (said == std::string::npos) return;
   const std::string rest = reason.substr(said + kSaid.size());
   EditedFile::replace_text(file, "checksum", rest.substr(0, rest.find_first_not_of("0123456789abcdef")));
-  refusal([&] { use(file); });
+  refusal_of(file, use);
 }
 
 }  // namespace

@@ -1,3 +1,6 @@
+#include <sys/stat.h>
+#include <unistd.h>
+
 #include <cmath>
 #include <limits>
 
@@ -285,7 +288,22 @@ TEST(Config, LoadRefusesWhatIsNoFile) {
   EXPECT_THAT(refusal([&] { ConfigNode::load(folder / "none.yaml"); }),
               AllOf(HasSubstr("none.yaml"), HasSubstr("no such file")));
   EXPECT_THAT(refusal([&] { ConfigNode::load(folder.path()); }), HasSubstr("is a folder"));
-  EXPECT_THAT(refusal([] { ConfigNode::load("/dev/zero"); }), HasSubstr("larger than 16 MB"));
+  EXPECT_EQ(refusal([] { ConfigNode::load("/dev/zero"); }), "/dev/zero: is a device, must be a YAML file");
+  const auto pipe = folder / "pipe.yaml";  // nobody writes to it
+  ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
+  EXPECT_EQ(refusal([&] { ConfigNode::load(pipe); }), pipe.string() + ": is a pipe, must be a YAML file");
+  EXPECT_THAT(refusal([&] { ConfigNode::load(folder.write("large.yaml", std::string(16'000'001, ' '))); }),
+              HasSubstr("larger than 16 MB"));
+}
+
+/// `weft run <(...)`.
+TEST(Config, LoadReadsAPipeOfTheShell) {
+  int ends[2];
+  ASSERT_EQ(pipe(ends), 0);
+  ASSERT_EQ(write(ends[1], "a: 1\n", 5), 5);
+  close(ends[1]);
+  EXPECT_EQ(ConfigNode::load("/dev/fd/" + std::to_string(ends[0])).at("a").as_int(), 1);
+  close(ends[0]);
 }
 
 TEST(Config, PathsAreRelativeToTheFileTheyStandIn) {

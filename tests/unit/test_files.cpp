@@ -1,5 +1,6 @@
 #include "sdk/files.hpp"
 
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -147,6 +148,23 @@ TEST(WholeText, IsTheFileOrTheReason) {
               HasSubstr(": is a folder, must be a file"));
   const auto pointer = folder.write("p.json", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n");
   EXPECT_THAT(test::message_of<ReadError>([&] { whole_text(pointer); }), HasSubstr("p.json: is a Git LFS pointer"));
+}
+
+TEST(NoFile, SaysWhatStandsInTheFilesPlace) {
+  const test::Folder folder;
+  EXPECT_EQ(no_file(folder.write("a.txt", "")), "");
+  EXPECT_EQ(no_file(folder / "none"), "");
+  EXPECT_EQ(no_file(folder.path()), "is a folder");
+  EXPECT_EQ(no_file("/dev/null"), "is a device");
+  const auto pipe = folder / "pipe";  // nobody writes to it
+  ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
+  EXPECT_EQ(no_file(pipe), "is a pipe");
+  EXPECT_EQ(no_text_file(pipe), "is a pipe");
+  EXPECT_EQ(no_text_file("/dev/stdin"), "");  // whatever the shell connects to it
+  EXPECT_EQ(test::message_of<ConfigError>([&] { require_file(pipe); }), pipe.string() + ": is a pipe, must be a file");
+  EXPECT_EQ(test::message_of<ReadError>([&] { whole_text(pipe); }), pipe.string() + ": is a pipe, must be a file");
+  EXPECT_EQ(test::message_of<ConfigError>([&] { require_file(folder / "none"); }),
+            (folder / "none").string() + ": no such file");
 }
 
 TEST(LfsPointer, IsToldByItsFirstLine) {

@@ -115,7 +115,7 @@ TEST(ReadObj, RefusesMissingFilesAndFolders) {
   EXPECT_THAT(message_of<ConfigError>([] { read_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\n"); }),
               HasSubstr("mesh.obj: is a Git LFS pointer, not the file itself; run `git lfs pull`"));
   EXPECT_THAT(message_of<ConfigError>([] { read_obj(std::filesystem::temp_directory_path()); }),
-              HasSubstr("not a file"));
+              HasSubstr(": is a folder, must be a file"));
 }
 
 TEST(ReadObj, SurvivesRandomDamage) {

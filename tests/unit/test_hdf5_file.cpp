@@ -2,6 +2,7 @@
 
 #include <sys/file.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cmath>
@@ -71,6 +72,9 @@ TEST(Hdf5File, SaysWhyAFileCannotBeOpened) {
   EXPECT_NO_THROW(Hdf5File::open(good));
   EXPECT_EQ(refusal(folder / "none.h5"), (folder / "none.h5").string() + ": does not exist");
   EXPECT_THAT(refusal(folder.path()), HasSubstr(": is a folder, must be an HDF5 file"));
+  const auto pipe = folder / "pipe.h5";  // nobody writes to it
+  ASSERT_EQ(mkfifo(pipe.c_str(), 0600), 0);
+  EXPECT_EQ(refusal(pipe), pipe.string() + ": is a pipe, must be an HDF5 file");
   EXPECT_THAT(refusal(folder.write("empty.h5", "")), HasSubstr(": is empty; "));
   EXPECT_THAT(refusal(folder.write("text.h5", "not at all an HDF5 file")), HasSubstr("text.h5: is not an HDF5 file"));
   EXPECT_THAT(refusal(folder.write("pointer.h5",

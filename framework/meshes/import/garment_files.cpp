@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
-#include <fstream>
-#include <iterator>
 
 #include "meshes/garment_writer.hpp"
 #include "meshes/import/mesh_file.hpp"
@@ -28,11 +26,17 @@ bool are_sides(const ImportedGarment& garment) {
   return sides == garment.layers;
 }
 
-void write_commented(const std::filesystem::path& mesh_file) {
-  std::ifstream stream(mesh_file, std::ios::binary);
-  const std::string mesh_text{std::istreambuf_iterator<char>(stream), {}};
-  if (!stream) throw Error(mesh_file.string() + ": cannot be read");
-  write_text(mesh_file, "#" + std::string(kImportedComment) + "\n" + mesh_text);
+/// Lets `write` write meshes elsewhere, and puts them into the folder whole: the first one with the comment that says that it was
+/// imported.
+template <class Write>
+void write_meshes(const std::filesystem::path& mesh_file, Write&& write) {
+  const TemporaryFolder elsewhere(mesh_file.parent_path());
+  write(elsewhere.path() / mesh_file.filename());
+  for (const auto& one : std::filesystem::directory_iterator(elsewhere.path())) {
+    const auto target = mesh_file.parent_path() / one.path().filename();
+    write_text(target,
+               (target == mesh_file ? "#" + std::string(kImportedComment) + "\n" : "") + whole_text(one.path()));
+  }
 }
 
 }  // namespace
@@ -43,13 +47,11 @@ void write_garment_files(const std::filesystem::path& folder, const std::string&
   const std::string made_by = "# Made by: " + command + "\n";
   if (garment.kept) {
     const Garment whole = garment.garment(name);
-    write_garment_meshes(mesh_file, whole);
-    write_commented(mesh_file);
+    write_meshes(mesh_file, [&](const auto& file) { write_garment_meshes(file, whole); });
     write_text(folder / (name + ".yaml"), made_by + garment_node(name + ".obj", whole).to_yaml());
     return;
   }
-  write_obj(mesh_file, garment.mesh);
-  write_commented(mesh_file);
+  write_meshes(mesh_file, [&](const auto& file) { write_obj(file, garment.mesh); });
   std::vector<std::pair<std::string, ConfigNode>> entries{{"name", ConfigNode::scalar(name)},
                                                           {"mesh", ConfigNode::scalar(name + ".obj")}};
   if (garment.form != RestForm::chart)

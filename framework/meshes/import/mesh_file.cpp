@@ -66,7 +66,7 @@ void add_node(const aiScene& scene, const aiNode& node, const aiMatrix4x4& above
 /// @param needs_faces refuse a point cloud.
 ObjFile read_other_format(const fs::path& path, bool needs_faces) {
 #ifdef WEFT_HAS_ASSIMP
-  if (!fs::is_regular_file(path)) throw ConfigError(path.string() + ": no such file");
+  require_file(path);
   if (is_lfs_pointer_file(path)) throw ConfigError(path.string() + ": " + kLfsPointer);
   Assimp::Importer importer;
   const aiScene* scene = importer.ReadFile(path.string(), 0);

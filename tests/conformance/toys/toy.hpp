@@ -1,4 +1,6 @@
 #pragma once
+#include <unistd.h>
+
 #include <atomic>
 #include <chrono>
 #include <cstdio>
@@ -69,7 +71,9 @@ inline double spoilt(const Params& p, const char* result, double value) {
   const std::string& fault = p.fault;
   if (fault == "none") return;
   if (fault == "exit") std::exit(0);
-  if (fault == "quick_exit") std::_Exit(0);
+  if (fault == "_exit") ::_exit(0);
+  if (fault == "_Exit") std::_Exit(0);
+  if (fault == "quick_exit") std::quick_exit(0);
   if (fault == "abort") std::abort();
   if (fault == "throw_42") throw 42;
   if (fault == "throw_map_at") std::map<int, int>().at(1);
