@@ -213,7 +213,7 @@ TEST(Registry, NotFoundSaysWhichFoldersAreMissingAndWhatWasRefused) {
   const PluginRegistry plugins({folder.path(), "/nowhere"});
   EXPECT_THAT(message_of<PluginError>([&] { plugins.find("brokn"); }),
               AllOf(HasSubstr("/nowhere which is no folder"),
-                    HasSubstr((folder / "broken.so").string() + ": refused: cannot be loaded")));
+                    HasSubstr((folder / "broken.so").string() + ": refused: is no library")));
 }
 
 TEST(Registry, AFolderThatIsNotThereIsEmpty) { EXPECT_NO_THROW(PluginRegistry({"/nowhere"}).list()); }
