@@ -84,8 +84,8 @@ int evaluate(Context& context, const std::string& file, const WorkOptions& work,
   if (work.cluster.is_given())
     return run_on_cluster(context, work.cluster, on_cluster,
                           [&] { write_planned_identity(out, on_cluster.label, identity); });
-  PhysicsCheckpoint(out, identity, cases,
-                    context.accept_changed);  // refuses another identity before anything is written
+  // Once before anything is written, to refuse another identity; the cases are read when it is this process's turn.
+  PhysicsCheckpoint(out, identity, cases, context.accept_changed);
   const PlacedFolder placed(out);
   const FolderTurn turn(context, out, "physics");
   PhysicsCheckpoint checkpoint(out, identity, cases, context.accept_changed);

@@ -35,7 +35,7 @@ class ExampleServer {
     request.remove_prefix(kExample.size());
     std::int64_t index = 0;
     const char* const end = std::from_chars(request.data(), request.data() + request.size(), index).ptr;
-    request.remove_prefix(static_cast<std::size_t>(end - request.data()));
+    request.remove_prefix(end - request.data());
     if (!simulator_ || request != setup_) set_up(request);
     return example_to_hex(
         make_example(*simulator_, *task_, params_.data, static_cast<std::uint64_t>(params_.seed), index));

@@ -45,7 +45,7 @@ std::string mesh_hash(const Garment& garment) {
   return hash.hex();
 }
 
-/// What `one` has that `other` has not, or otherwise. Nothing: both are equal.
+/// The keys of `one` that `other` lacks or has another value for. Nothing: both are equal.
 std::optional<ordered_json> differences(const ordered_json& one, const ordered_json& other) {
   if (one == other) return std::nullopt;
   if (!one.is_object() || !other.is_object()) return one;
@@ -159,7 +159,8 @@ class Collector {
 
   static std::string file_hash(const ConfigNode& file) { return "sha256 " + sha256_of_file(file.as_path()); }
 
-  /// A mapping with the keys of the YAML files that it lies in or begins with. A file that is no YAML stays a name.
+  /// A mapping with the keys of the YAML files that it lies in or begins with. Of a file that is no YAML the hash stands for its keys;
+  /// where it is all there is, it stays a name.
   static ConfigNode whole(const ConfigNode& node, int depth) {
     constexpr int kMostFiles = 8;
     if (depth > kMostFiles) node.fail("leads through more than " + std::to_string(kMostFiles) + " files");

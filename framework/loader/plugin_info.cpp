@@ -91,7 +91,7 @@ std::string no_library(const std::filesystem::path& file) {
   if (size == 0) return "is empty; copy it or build it again";
   Elf64_Ehdr head{};
   stream.read(reinterpret_cast<char*>(&head), sizeof(head));
-  const auto got = static_cast<std::size_t>(stream.gcount());
+  const std::size_t got = stream.gcount();
   if (got < SELFMAG || std::memcmp(head.e_ident, ELFMAG, SELFMAG) != 0)
     return "is no library: it does not begin like an ELF file";
   const bool is_ours = head.e_ident[EI_CLASS] == ELFCLASS64 && head.e_ident[EI_DATA] == ELFDATA2LSB;

@@ -168,7 +168,7 @@ void write_all(int file, const char* bytes, std::size_t size) {
 }
 
 /// What _exit() is without this file.
-[[noreturn]] void end_now(int code) {
+[[noreturn]] void leave_now(int code) {
   while (true) syscall(SYS_exit_group, code);
 }
 
@@ -179,7 +179,7 @@ void write_all(int file, const char* bytes, std::size_t size) {
   sigaddset(&one, signal);
   pthread_sigmask(SIG_UNBLOCK, &one, nullptr);
   raise(signal);
-  end_now(128 + signal);
+  leave_now(128 + signal);
 }
 
 std::atomic<int> ends_with = 0;
@@ -226,20 +226,20 @@ void before_exit(const char* call, int code) {
   if (watches == 0 || getpid() != watched_process) return;
   while (reported.exchange(true)) pause();  // another thread reports, and ends the program
   write_report({.call = call, .exit_code = code});
-  end_now(1);
+  leave_now(1);
 }
 
 void on_exit_call(int code, void*) { before_exit("exit", code); }
 
 /// The function of this name that this file hides: the C library's, or a sanitizer's. It is looked up before main(),
 /// since dlsym() takes a lock that a forked process may never get.
-using EndFunction = void (*)(int);
-EndFunction hidden(const char* name) { return reinterpret_cast<EndFunction>(dlsym(RTLD_NEXT, name)); }
-const EndFunction hidden_exit = hidden("_exit"), hidden_quick_exit = hidden("quick_exit");
+using ExitFunction = void (*)(int);
+ExitFunction hidden(const char* name) { return reinterpret_cast<ExitFunction>(dlsym(RTLD_NEXT, name)); }
+const ExitFunction hidden_exit = hidden("_exit"), hidden_quick_exit = hidden("quick_exit");
 
-[[noreturn]] void end_by(EndFunction end, int code) {
-  if (end != nullptr) end(code);  // null only before this file's variables are initialised
-  end_now(code);
+[[noreturn]] void call_hidden(ExitFunction function, int code) {
+  if (function != nullptr) function(code);  // null only before this file's variables are initialised
+  leave_now(code);
 }
 
 }  // namespace
@@ -267,6 +267,7 @@ bool read_crash_report(std::string_view bytes, CrashReport& report) {
   if (bytes.size() < sizeof(report)) return false;
   std::memcpy(&report, bytes.data(), sizeof(report));
   if (std::memcmp(report.magic, kMagic, sizeof(kMagic)) != 0) return false;
+  report.call[sizeof(report.call) - 1] = 0;
   report.where[sizeof(report.where) - 1] = report.plugin[sizeof(report.plugin) - 1] = 0;
   report.library[sizeof(report.library) - 1] = report.function[sizeof(report.function) - 1] = 0;
   return true;
@@ -342,14 +343,14 @@ void announce_plugin(const std::string& plugin, const void* symbol) {
 extern "C" {
 WEFT_API void _exit(int code) {
   weft::before_exit("_exit", code);
-  weft::end_by(weft::hidden_exit, code);
+  weft::call_hidden(weft::hidden_exit, code);
 }
 WEFT_API void _Exit(int code) noexcept {
   weft::before_exit("_Exit", code);
-  weft::end_by(weft::hidden_exit, code);
+  weft::call_hidden(weft::hidden_exit, code);
 }
 WEFT_API void quick_exit(int code) noexcept {
   weft::before_exit("quick_exit", code);
-  weft::end_by(weft::hidden_quick_exit, code);
+  weft::call_hidden(weft::hidden_quick_exit, code);
 }
 }

@@ -210,7 +210,7 @@ void serve_work(const std::function<std::string(const std::string& request)>& an
     for (errno = 0; (size = ::getline(&request.text, &request.room, stdin)) > 0; errno = 0) {
       if (request.text[size - 1] == '\n') --size;
       cancelled = false;
-      const std::string line = answer(std::string(request.text, static_cast<std::size_t>(size)));
+      const std::string line = answer(std::string(request.text, size));
       if (!send(cancelled ? std::string_view(kCancelled) : std::string_view(line)) || !send("\n")) return;
     }
     if (errno == ENOMEM) throw std::bad_alloc();

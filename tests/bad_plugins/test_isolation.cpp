@@ -90,7 +90,9 @@ TEST(Isolation, CostsItsCellOnly) {
   const std::string command = "ablate '" + file.string() + "' --out '" + (folder / "out").string() + "' --jobs 2 ";
   const Outcome first = weft_command(command + "--cell-limit 3 --quiet");
   EXPECT_EQ(first.code, 1);
-  EXPECT_THAT(first.output, HasSubstr("warning: 7 of 8 cells failed: 1 refused, 5 crashed, 1 hung; --retry-failed"));
+  EXPECT_THAT(first.output,
+              HasSubstr("warning: 7 of 8 cells failed: 1 refused, 5 crashed, 1 hung; --retry-failed tries 6 of "
+                        "them again, --retry-failed=all tries all of them\n"));
   std::ifstream stream(folder / "out/ablation.json");
   const auto json = nlohmann::json::parse(stream);
   const auto failure = [&](const std::string& name) {

@@ -1,4 +1,5 @@
 // Files with damaged bytes, which libhdf5 reads in a child process: its crashes are not weft's (docs/trust.md).
+#include <algorithm>
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
@@ -71,25 +72,22 @@ Reading read_with(ChildProcess& reader, const std::string& kind, const fs::path&
   }
   reading.report = reader.errors();
   std::string& report = reading.report;
-  if (!reading.is_over) report.resize(report.rfind(kReportEnds));
+  if (!reading.is_over) report.resize(std::min(report.size(), report.rfind(kReportEnds)));
   if (const auto before = report.rfind(kReportEnds); before != std::string::npos)
     report.erase(0, before + kReportEnds.size());
   return reading;
 }
 
-enum class Origin { libhdf5, weft, unknown };
-
-/// Where a sanitizer's report begins. In a report without the names of functions a frame of the program of weft says nothing:
-/// the sanitizer's own malloc() lies there too.
-Origin origin_of(const std::string& report, bool names) {
+/// Whether a sanitizer's report begins in libhdf5. @param names whether functions have names in it. Without, the first frame
+/// decides: another one in the program of weft may be the sanitizer's own malloc().
+bool begins_in_libhdf5(const std::string& report, bool names) {
   std::istringstream lines(report);
   for (std::string line; std::getline(lines, line);) {
     if (line.find("    #") == std::string::npos) continue;
-    if (line.find("libhdf5") != std::string::npos) return Origin::libhdf5;
-    if (!names) return Origin::unknown;
-    if (line.find("weft::") != std::string::npos) return Origin::weft;
+    if (line.find("libhdf5") != std::string::npos) return true;
+    if (!names || line.find("weft::") != std::string::npos) return false;
   }
-  return Origin::unknown;
+  return false;
 }
 
 /// Notes a crash of libhdf5 for whoever counts them.
@@ -140,16 +138,15 @@ void damaged(std::string_view bytes) {
   Reading reading = read_with(*reader, kKinds[kind].name, file);
   if (reading.is_over) reader.reset();
   if (reading.ill.empty()) return;
-  Origin origin = origin_of(reading.report, false);
-  if (origin == Origin::unknown) {
-    const auto namer = start_reader(true);
-    Reading named = read_with(*namer, kKinds[kind].name, file);
+  bool is_of_libhdf5 = begins_in_libhdf5(reading.report, false);
+  if (!is_of_libhdf5) {
+    Reading named = read_with(*start_reader(true), kKinds[kind].name, file);
     if (!named.ill.empty()) reading = std::move(named);
-    origin = origin_of(reading.report, true);
+    is_of_libhdf5 = begins_in_libhdf5(reading.report, true);
   }
-  if (origin == Origin::libhdf5)
-    return note("== " + std::string(kKinds[kind].name) + " " + reading.ill + "\n" + reading.report);
-  finding("opening a damaged " + std::string(kKinds[kind].name) + " " + reading.ill + "\n" + reading.report);
+  const std::string what = std::string(kKinds[kind].name) + " " + reading.ill + "\n" + reading.report;
+  if (!is_of_libhdf5) finding("opening a damaged " + what);
+  note("== " + what);
 }
 
 }  // namespace weft::fuzz
