@@ -51,6 +51,8 @@ class Cloth final : public SimulatorBase {
 
   void choose_inertia(bool fine);
   void choose_step();
+  void share_limit(double g);
+  bool has_layers() const { return !garment().form.layers.empty(); }
   void check_substeps() const;
   void load_state();
   void aim(const Positions& targets);

@@ -17,10 +17,8 @@ constexpr float kDashpot = 0.45f;
 // that come and go must not change the stiffness of the others. When pairs in fast approach counted too, springs were
 // softer in compression than in release, and resting layers bounced for ever.
 constexpr float kLeastLoad = 6.0f;
-// A pair pressed deeper than this part of its distance yields (keeps the gap it has) ...
-constexpr float kYield = 0.25f;
-// ... and recovers at this speed, m/s, so that separating layers gain hardly any energy. (With 0.02 some folds did not
-// settle below 5 mm/s.)
+// A pair that yielded recovers at this speed, m/s, so that separating layers gain hardly any energy. (With 0.02 some folds did
+// not settle below 5 mm/s.)
 constexpr float kRecovery = 0.003f;
 // Edge pairs act at a smaller distance than vertex-triangle pairs, which alone carry the load between flat layers.
 constexpr float kEdgePart = 0.8f;
@@ -39,11 +37,12 @@ Measured measure(Candidate* const (&list)[8], Contact* const (&contact)[8], cons
 }  // namespace
 
 SelfContact::SelfContact(const Topology& topology, const PatchTree& tree, const Fabric& fabric, float spring,
-                         std::int32_t piecewise)
+                         float yield, std::int32_t piecewise)
     : topology_(&topology),
       thickness_(static_cast<float>(fabric.thickness_m)),
       friction_(static_cast<float>(fabric.self_friction)),
       spring_(spring),
+      yield_(yield),
       search_(topology, tree, thickness_, kEdgePart * thickness_, piecewise) {}
 
 double SelfContact::longest_step(double g, double part) const {
@@ -179,7 +178,7 @@ void SelfContact::activate_pairs(State& state, const std::vector<std::int32_t>& 
       // the next triangle. It starts without force. A push at once would create energy, and it kept creases vibrating.
       c.present = c.present < 0.0f ? std::max(gap, 0.0f) : c.present + kRecovery * dt;
       c.present = std::min(c.present, c.distance);
-      c.present = std::min(c.present, std::max(gap, 0.0f) + kYield * c.distance);
+      c.present = std::min(c.present, std::max(gap, 0.0f) + yield_ * c.distance);
       Active a;
       a.gap = gap;
       a.least = 0.5f * c.distance;

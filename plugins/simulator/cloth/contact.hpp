@@ -56,8 +56,9 @@ class SelfContact {
   };
 
   /// @param tree of the topology. @param spring part of the explicit limit dt^2 lambda = 4 that the springs of contact take.
+  /// @param yield a pair pressed deeper than this part (below 0.5) of its distance yields: it keeps the gap it has.
   /// @param piecewise see ContactSearch.
-  SelfContact(const Topology& topology, const PatchTree& tree, const Fabric& fabric, float spring,
+  SelfContact(const Topology& topology, const PatchTree& tree, const Fabric& fabric, float spring, float yield,
               std::int32_t piecewise = 2000);
 
   /// Makes sure that the candidates are valid for the next block (ContactSearch).
@@ -81,6 +82,7 @@ class SelfContact {
             Double4* v) const;
   /// Longest substep (s) at which a layer under acceleration g (m/s^2) sinks in by at most this part of the thickness.
   double longest_step(double g, double part) const;
+  void set_spring(float part) { spring_ = part; }  ///< see the constructor
   /// Empty, with room for a fully folded cloth, so that the frame loop does not allocate.
   void clear(State& state) const;
 
@@ -108,6 +110,7 @@ class SelfContact {
   float thickness_ = 0.0f;
   float friction_ = 0.0f;
   float spring_ = 0.0f;
+  float yield_ = 0.0f;
   ContactSearch search_;
   mutable Scratch scratch_;
 };

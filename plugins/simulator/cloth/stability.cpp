@@ -116,6 +116,14 @@ double damping_part(const Spectrum& spectrum, double stretch_damping_s, double b
   return std::clamp(std::min(part(along, across), part(across, along)), 0.0, 1.0);
 }
 
+double limit_taken(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double step) {
+  const auto [along, across] = demands(spectrum, stretch_damping_s, bend_damping_s);
+  const auto taken = [&](const Demand& one, const Demand& other) {
+    return step * step * (one.stiffness + kShared * other.stiffness) + step * (one.damping + kShared * other.damping);
+  };
+  return 4.0 * std::max(taken(along, across), taken(across, along));
+}
+
 double stable_step(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double safety) {
   const double c = safety * safety;
   const auto [along, across] = demands(spectrum, stretch_damping_s, bend_damping_s);
