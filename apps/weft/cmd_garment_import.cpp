@@ -183,8 +183,8 @@ std::string lay(Context& context, const ImportRequest& request, ImportedGarment&
   garment.kept = std::move(whole);
   garment.findings.push_back({"lay", FindingKind::mended, garment.mesh.positions.rows(), laid_text(laid)});
   if (laid.crossings == 0) return "";
-  garment.findings.push_back({"lay", FindingKind::warning, laid.crossings, crossing_text(laid)});
-  return crossing_text(laid);
+  garment.findings.push_back({"lay", FindingKind::warning, laid.crossings, crossing_text(worn, laid)});
+  return crossing_text(worn, laid);
 }
 
 int run_import(Context& context, ImportRequest request) {

@@ -42,7 +42,7 @@ int run_lay(Context& context, const LayRequest& request) {
   context.say(laid_text(laid));
   context.say("the garment is " + (folder / (garment.name + ".yaml")).string());
   if (laid.crossings == 0) return 0;
-  std::fprintf(stderr, "error: %s\n", crossing_text(laid).c_str());
+  std::fprintf(stderr, "error: %s\n", crossing_text(garment, laid).c_str());
   return 1;
 }
 
@@ -74,11 +74,17 @@ std::string laid_text(const LaidGarment& laid) {
   return text;
 }
 
-std::string crossing_text(const LaidGarment& laid) {
-  return "the laid garment crosses itself in " + std::to_string(laid.crossings) + " places" +
-         (laid.crossings_before > 0
-              ? "; so did the mesh as drawn (" + std::to_string(laid.crossings_before) + "): mend it there"
-              : ": try `weft garment lay` with a larger --thickness or a longer --fall");
+std::string crossing_text(const Garment& drawn, const LaidGarment& laid) {
+  std::string text = "the laid garment crosses itself in " + std::to_string(laid.crossings) + " places";
+  if (!laid.crossing_before) return text + ": try `weft garment lay` with a larger --thickness or a longer --fall";
+  const Intersection& one = *laid.crossing_before;
+  const Vec3 at = 0.5 * (drawn.positions.row(one.edge[0]) + drawn.positions.row(one.edge[1])).transpose();
+  char place[120];
+  std::snprintf(place, sizeof place, "edge %d-%d with face %d near (%.3f, %.3f, %.3f) m", one.edge[0], one.edge[1],
+                one.face, at.x(), at.y(), at.z());
+  text += "; so does the mesh as drawn, in " + std::to_string(laid.crossings_before) + ", such as " + place;
+  return text + (laid.pieces_cross ? ": two pieces cross there; move them apart, or import one of them alone (--piece)"
+                                   : ": mend it there");
 }
 
 void register_garment_lay(CLI::App& garment, Context& context) {

@@ -40,7 +40,7 @@ LaidGarment lay_with(Context& context, const Garment& garment, const std::string
 Garment laid_garment(const Garment& garment, const LaidGarment& laid);
 /// What was done, in a line; and what is wrong with it when it crosses itself.
 std::string laid_text(const LaidGarment& laid);
-std::string crossing_text(const LaidGarment& laid);
+std::string crossing_text(const Garment& drawn, const LaidGarment& laid);
 
 /// Adds --fine, --fine-band, --fine-line and --growth: where edges are shorter.
 void add_fine_options(CLI::App& command, MeshSize& size, std::vector<std::string>& fine_lines);

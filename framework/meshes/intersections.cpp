@@ -128,10 +128,10 @@ class Tree {
   std::vector<Node> nodes_;
 };
 
-}  // namespace
-
-Index count_intersections(const Positions& positions, const Faces& faces) {
-  if (faces.rows() == 0) return 0;
+/// Calls found(edge, face) for each, edge by edge, until it returns false.
+template <class Found>
+void visit_intersections(const Positions& positions, const Faces& faces, Found&& found) {
+  if (faces.rows() == 0) return;
   if (!positions.allFinite()) throw Error("count_intersections: a position is not finite");
   if (faces.minCoeff() < 0 || faces.maxCoeff() >= positions.rows()) {
     throw ShapeError("count_intersections: a face names a vertex outside [0, " + std::to_string(positions.rows() - 1) +
@@ -139,7 +139,7 @@ Index count_intersections(const Positions& positions, const Faces& faces) {
   }
   const Eigen::RowVector3d low = positions.colwise().minCoeff();
   const double extent = (positions.colwise().maxCoeff() - low).maxCoeff();
-  if (!(extent > 0.0)) return 0;
+  if (!(extent > 0.0)) return;
   const double scale = (kGrid - 1.0) / extent;
   if (!std::isfinite(scale)) throw Error("count_intersections: the mesh is too small or too large");
   std::vector<Point> points(static_cast<std::size_t>(positions.rows()));
@@ -161,8 +161,8 @@ Index count_intersections(const Positions& positions, const Faces& faces) {
   }
   const Tree tree(std::move(boxes));
   const auto edges = edges_of(faces);
-  Index count = 0;
-  for (Index e = 0; e < edges.rows(); ++e) {
+  bool more = true;
+  for (Index e = 0; e < edges.rows() && more; ++e) {
     const int p = edges(e, 0);
     const int q = edges(e, 1);
     Box3 box{point(p), point(p)};
@@ -172,10 +172,30 @@ Index count_intersections(const Positions& positions, const Faces& faces) {
       const int b = faces(f, 1);
       const int c = faces(f, 2);
       if (a == p || a == q || b == p || b == q || c == p || c == q) return;
-      if (crosses(point(p), point(q), point(a), point(b), point(c))) ++count;
+      if (more && crosses(point(p), point(q), point(a), point(b), point(c))) more = found({{p, q}, f});
     });
   }
+}
+
+}  // namespace
+
+Index count_intersections(const Positions& positions, const Faces& faces) {
+  Index count = 0;
+  visit_intersections(positions, faces, [&](const Intersection&) {
+    ++count;
+    return true;
+  });
   return count;
+}
+
+std::vector<Intersection> find_intersections(const Positions& positions, const Faces& faces, std::size_t most) {
+  std::vector<Intersection> all;
+  if (most == 0) return all;
+  visit_intersections(positions, faces, [&](const Intersection& one) {
+    all.push_back(one);
+    return all.size() < most;
+  });
+  return all;
 }
 
 }  // namespace weft

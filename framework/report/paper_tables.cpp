@@ -353,7 +353,34 @@ void add_estimation(const ordered_json& json, std::vector<PaperTable>& tables) {
   add_estimation_by_segments(json, tables);
 }
 
+/// Settled shapes, as the start of a session and its middle predict them.
+void add_settled_prediction(const ordered_json& settled, std::vector<PaperTable>& tables) {
+  PaperTable table{"prediction-settled",
+                   "Error of the predicted settled shape; a calibrated prediction has 68 % within sigma and NSE 1",
+                   {{"settled", "settled shape", "", 0},
+                    {"n", "n", "", 0},
+                    {"mean", "mean, mm", "mm", 2},
+                    {"median", "median, mm", "mm", 2},
+                    {"sigma", "sigma, mm", "mm", 2},
+                    {"within_sigma", "within sigma, %", "%", 1},
+                    {"nse", "NSE", "", 2},
+                    {"nll", "NLL", "", 2}},
+                   {},
+                   1};
+  const std::pair<const char*, const char*> rows[] = {{"from_start", "from the flat start"},
+                                                      {"from_random", "from a random segment"},
+                                                      {"no_knowledge", "without knowledge of the material"}};
+  for (const auto& [key, name] : rows) {
+    const ordered_json row = settled.value(key, ordered_json::object());
+    table.rows.push_back({name, number_at(row, "n"), number_at(row, "mean_mm"), number_at(row, "median_mm"),
+                          number_at(row, "sigma_mm"), percent_at(row, "coverage_1sigma"), number_at(row, "nse"),
+                          number_at(row, "nll")});
+  }
+  tables.push_back(std::move(table));
+}
+
 void add_prediction(const ordered_json& json, std::vector<PaperTable>& tables) {
+  if (json.contains("settled")) add_settled_prediction(json["settled"], tables);
   const std::pair<const char*, const char*> parts[] = {
       {"by_step", "from the start of a session"},
       {"by_step_from_random", "from within a session"},

@@ -1,4 +1,7 @@
 #pragma once
+#include <optional>
+
+#include "meshes/intersections.hpp"
 #include "simulation/fold.hpp"
 #include "weft/params.hpp"
 #include "weft/simulator.hpp"
@@ -29,12 +32,14 @@ struct LayParams {
 };
 
 struct LaidGarment {
-  Positions positions;         ///< [V, 3] m, z above the place of the vertex's layer
-  std::vector<double> layers;  ///< [V] sheets of cloth below
-  Index crossings_before = 0;  ///< of edges and faces, as drawn
-  Index crossings = 0;         ///< most at the end, of half, all and four times the thickness
-  Index frames = 0;            ///< simulated
-  double height = 0.0;         ///< m, of the highest vertex
+  Positions positions;                          ///< [V, 3] m, z above the place of the vertex's layer
+  std::vector<double> layers;                   ///< [V] sheets of cloth below
+  Index crossings_before = 0;                   ///< of edges and faces, as drawn
+  std::optional<Intersection> crossing_before;  ///< one of them: of two pieces where there is such a one
+  bool pieces_cross = false;                    ///< two pieces cross as drawn, which no edge joins
+  Index crossings = 0;                          ///< most at the end, of half, all and four times the thickness
+  Index frames = 0;                             ///< simulated
+  double height = 0.0;                          ///< m, of the highest vertex
   double median_strain = 0.0, largest_strain = 0.0;
   bool settled = false;
 };

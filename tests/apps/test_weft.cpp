@@ -259,6 +259,25 @@ TEST(Program, LaysAGarmentThatIsDrawnAsItIsWornAndFoldsIt) {
   EXPECT_LT(facts.at("median_strain"), 0.02);
 }
 
+TEST(Program, NamesWherePiecesOfAGarmentCross) {
+  const Folder folder;
+  // A square through the tube's wall.
+  const std::string file =
+      folder
+          .write("tube.obj", standing_tube() +
+                                 "v 0.05 -0.04 0.1\nv 0.18 -0.04 0.11\nv 0.18 0.05 0.12\nv 0.05 0.05 0.1\n"
+                                 "f -4 -3 -2 -1\n")
+          .string();
+  const std::string out = (folder / "out").string();
+  const Outcome crossed = weft_command("garment import '" + file + "' --up z --no-tuning --out '" + out + "/two'");
+  EXPECT_EQ(crossed.code, 1) << crossed.output;
+  EXPECT_THAT(crossed.output, AllOf(HasSubstr("so does the mesh as drawn, in "), HasSubstr(", such as edge "),
+                                    HasSubstr("two pieces cross there"), HasSubstr("(--piece)")));
+  const Outcome one =
+      weft_command("garment import '" + file + "' --up z --no-tuning --piece 1 --out '" + out + "/one'");
+  EXPECT_EQ(one.code, 0) << one.output;
+}
+
 TEST(Program, MakesGarmentsOfTwoLayers) {
   const Folder folder;
   const std::string shirt = (folder / "shirt.obj").string();

@@ -16,7 +16,7 @@ import tempfile
 # What these meshes need to be told (units, and edges that a fold can use).
 OPTIONS = {
     "cipc-tableCloth": ["--remesh", "0.02"],
-    "dedo-apron_0": ["--remesh", "0.04"],
+    "dedo-apron_0": ["--piece", "1", "--remesh", "0.04"],
     "dedo-cloth_z_up": ["--remesh", "0.05"],
     "diffcloth-dress-v5k": ["--units", "in", "--remesh", "0.02"],
 }

@@ -11,6 +11,8 @@
 
 // Compiled in, so that the parts can be reached (with -march as the plugin).
 #include "meshes/intersections.hpp"
+#include "meshes/mesher.hpp"
+#include "meshes/sewing.hpp"
 #include "plugins/counted_allocations.hpp"
 #include "simulator/cloth/bending_patch.cpp"
 #include "simulator/cloth/cloth.cpp"
@@ -605,7 +607,7 @@ TEST(ClothContact, EveryPairWithinItsDistanceIsACandidateThoughFewVerticesAreSea
   Fabric f = fabric();
   f.thickness_m = 0.002;
   const Elements elements(topology, f);
-  const SelfContact contact(topology, PatchTree(topology), f, 0.4f, 0);
+  const SelfContact contact(topology, PatchTree(topology), f, 0.4f, 0.25f, 0);
   SelfContact::State state;
   contact.clear(state);
   const auto n = static_cast<std::size_t>(topology.vertices);
@@ -705,7 +707,7 @@ TEST(ClothContact, WhatWasFlatIsSearchedWholeOnceItIsFlatNoMore) {
   const Topology topology(garment);
   Fabric f = fabric();
   f.thickness_m = 0.012;
-  const SelfContact contact(topology, PatchTree(topology), f, 0.4f, 0);
+  const SelfContact contact(topology, PatchTree(topology), f, 0.4f, 0.25f, 0);
   SelfContact::State state;
   contact.clear(state);
   const auto n = static_cast<std::size_t>(topology.vertices);
@@ -840,6 +842,45 @@ TEST(Cloth, LayersRestAtThicknessAndDoNotCreep) {
   const auto top = cloth.positions().bottomRows(64).col(2);
   EXPECT_GT(top.minCoeff(), 1.85 * f.thickness_m);
   EXPECT_LT(top.maxCoeff(), 2.02 * f.thickness_m);
+}
+
+/// A T-shirt of two layers on coarse edges. Its folds vibrated for ever while pairs in contact yielded to its weight.
+TEST(Cloth, FoldsOfTwoLayersComeToRest) {
+  const Outline outline = shirt_outline(ShirtSize{});
+  const GeneratedMesh front = generate_mesh(outline, {.edge_m = 0.04});
+  SewnMesh sewn =
+      sew_front_and_back(front.mesh, [&](const Vec2& a, const Vec2& b) { return !is_open_at(outline, a, b); });
+  const auto garment = std::make_shared<const Garment>(make_garment(sewn.mesh, "shirt", {}, std::move(sewn.form)));
+  const std::vector<Index> hands{front.vertices.at("left_sleeve_top"), front.vertices.at("left_body_bottom")};
+  for (const bool soft : {false, true}) {
+    Fabric f = fabric();
+    f.thickness_m = 0.001;
+    if (soft) {
+      f.bend_warp_n_m *= 0.25;
+      f.bend_weft_n_m *= 0.25;
+      f.bend_bias_n_m *= 0.25;
+    } else {
+      f.friction = 0.2;
+      f.self_friction = 0.12;
+    }
+    Cloth cloth{Params{}};
+    cloth.reset(garment, f, Scene());
+    Positions start(2, 3);
+    for (Index k = 0; k < 2; ++k) start.row(k) = cloth.positions().row(hands[static_cast<std::size_t>(k)]);
+    cloth.grasp(hands);
+    constexpr int kFrames = 96;
+    for (int frame = 1; frame <= kFrames; ++frame) {
+      const double a = std::numbers::pi * frame / kFrames;
+      Positions to = start;
+      to.col(0).array() += 0.426 * (1.0 - std::cos(a));
+      to.col(2).array() += 0.38 * std::sin(a) + 0.05 * frame / kFrames;
+      cloth.step(to);
+    }
+    cloth.release();
+    const SettleResult rest = cloth.settle({0.005, 6, 240});
+    EXPECT_TRUE(rest.settled) << rest.max_speed << " m/s, " << (soft ? "soft" : "slippery");
+    EXPECT_EQ(count_intersections(cloth.positions(), garment->faces), 0);
+  }
 }
 
 TEST(Cloth, LayersSeparateWhenLiftedAgain) {

@@ -344,6 +344,13 @@ TEST(CountIntersections, FindsAnEdgeThroughATriangle) {
   Faces faces(2, 3);
   faces << 0, 1, 2, 3, 4, 5;
   EXPECT_EQ(count_intersections(x, faces), 2);  // the edge 3-4, and 1-2 through the second triangle
+  const auto found = find_intersections(x, faces, 10);
+  ASSERT_EQ(found.size(), 2u);
+  EXPECT_EQ(found[0].edge, (std::array{1, 2}));
+  EXPECT_EQ(found[0].face, 1);
+  EXPECT_EQ(found[1].edge, (std::array{3, 4}));
+  EXPECT_EQ(found[1].face, 0);
+  EXPECT_EQ(find_intersections(x, faces, 1).size(), 1u);
   x.row(3) << 2, 2, -1;
   x.row(4) << 2, 2, 1;
   EXPECT_EQ(count_intersections(x, faces), 0);

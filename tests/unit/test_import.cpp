@@ -1,10 +1,12 @@
 #include <Eigen/Geometry>
 #include <cmath>
 #include <numbers>
+#include <sstream>
 
 #include "meshes/import/garment_files.hpp"
 #include "meshes/import/import.hpp"
 #include "meshes/import/pieces.hpp"
+#include "meshes/intersections.hpp"
 #include "test_support.hpp"
 
 namespace weft {
@@ -446,6 +448,35 @@ TEST(Import, TexturesOfFlatMeshesAreTakenOnlyInMetres) {
   EXPECT_NEAR(turned.mesh.rest(8, 1), std::sin(0.5) * 2 + std::cos(0.5) * 2, 1e-6);
   const std::string one_point = plain.substr(0, plain.find('f')) + "vt 0 0\nf 1/1 2/1 5/1\nf 1/1 5/1 4/1\n";
   EXPECT_THAT(found(import_text(one_point), "rest shape"), HasSubstr("one point: ignored"));
+}
+
+TEST(Import, SmoothsAWornGarmentWhereItPassesThroughItself) {
+  constexpr int n = 16;
+  constexpr double kRadius = 0.1, kHeight = 0.5;
+  std::istringstream lines(tube(n, kRadius, kHeight));
+  std::string text, line;
+  for (int row = 0; std::getline(lines, line); ++row) {
+    if (row == 8 * n + 4) {  // pushed past its neighbour, through the faces there
+      const double angle = 2.0 * std::numbers::pi * 5.6 / n, radius = kRadius + 0.003;
+      line = "v " + std::to_string(radius * std::cos(angle)) + ' ' + std::to_string(radius * std::sin(angle)) + ' ' +
+             std::to_string(kHeight * 8.3 / n);
+    }
+    text += line + '\n';
+  }
+  ImportOptions options;
+  options.units = "m";
+  options.up = "z";
+  const ImportedGarment mended = import_text(text, options);
+  EXPECT_THAT(found(mended, "crossings"), AllOf(HasSubstr("mended 6: 6 edges through a face"),
+                                                HasSubstr("moved by at most"), HasSubstr("vertex 1")));
+  EXPECT_EQ(count_intersections(mended.mesh.positions, mended.mesh.faces), 0);
+  // Nothing else moved.
+  const ImportedGarment sound = import_text(tube(n, kRadius, kHeight), options);
+  EXPECT_EQ(found(sound, "crossings"), "");
+  int moved = 0;
+  for (Index v = 0; v < sound.mesh.positions.rows(); ++v)
+    moved += (mended.mesh.positions.row(v) - sound.mesh.positions.row(v)).norm() > 1e-9;
+  EXPECT_LT(moved, 20);
 }
 
 TEST(Import, KeepsTheLengthsOfAClosedGarmentAndSaysThatItMustBeLaid) {

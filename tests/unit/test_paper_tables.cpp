@@ -72,8 +72,10 @@ TEST(PaperTables, EvaluationsHaveTheirTables) {
       {"seed": 3, "status": "crashed", "failed": "x"}], "columns": {"fresh": {"posterior": {"n": 50, "properties": {"bend": {
       "abs_error": {"mean": 0.05, "median": 0.04, "sd": 0.03, "median_95": [0.03, 0.06]}, "width": {"median": 0.25}, "failure_rate": 0.02,
       "coverage": {"0.5": 0.5, "0.8": 0.82}, "interval_score": 0.3}}}}}})");
-  folder.write("prediction.json",
-               R"({"by_step": [{"steps": 1, "n": 9, "mean_mm": 0.5, "median_mm": 0.4, "sigma_mm": 0.6,
+  folder.write(
+      "prediction.json",
+      R"({"settled": {"from_start": {"n": 12, "mean_mm": 3.5, "median_mm": 2.25, "sigma_mm": 2.0, "nll": 1.5, "nse": 1.25,
+      "coverage_1sigma": 0.7215}, "no_knowledge": {"n": 12, "mean_mm": 9.5}}, "by_step": [{"steps": 1, "n": 9, "mean_mm": 0.5, "median_mm": 0.4, "sigma_mm": 0.6,
       "nll": -1.25, "coverage_1sigma": 0.7}]})");
   folder.write(
       "physics.json",
@@ -92,6 +94,8 @@ TEST(PaperTables, EvaluationsHaveTheirTables) {
   EXPECT_THAT(text, HasSubstr("(cases: fresh, method: posterior).\n"));
   EXPECT_THAT(text, HasSubstr("| 0 | 2 | 0.000 | 1.000 | 100 | 0.150 | 1.000 | 100 |"));
   EXPECT_THAT(text, HasSubstr("| 1 | 1 | 0.100 | 0.200 | 0 | 0.000 | 0.100 | 100 |"));
+  EXPECT_THAT(text, HasSubstr("| from the flat start | 12 | 3.50 | 2.25 | 2.00 | 72.2 | 1.25 | 1.50 |\n"));
+  EXPECT_THAT(text, HasSubstr("| without knowledge of the material | 12 | 9.50 |  |  |  |  |  |\n"));
   EXPECT_THAT(text, HasSubstr("| 1 | 9 | 0.50 | 0.40 | 0.60 | -1.250 | 70 |\n"));
   EXPECT_THAT(text, HasSubstr("| hanging | strip | finer | length, m | 1.5 | 1.5 |  | 0.01 | yes |\n"));
   EXPECT_THAT(latex_of(paper_tables(folder.path())), HasSubstr("median $\\vert$c - q$\\vert$"));

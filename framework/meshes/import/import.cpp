@@ -11,6 +11,7 @@
 #include "meshes/import/remesh.hpp"
 #include "meshes/import/rest_shape.hpp"
 #include "meshes/import/triangulate.hpp"
+#include "meshes/import/untangle.hpp"
 #include "meshes/import/weld.hpp"
 #include "weft/config.hpp"
 #include "weft/rest_shape.hpp"
@@ -269,7 +270,10 @@ ImportedGarment import_garment(const std::filesystem::path& path, const ImportOp
   fill_holes(mesh, options.fill_edges, findings);
   FoundRest rest = find_rest_shape(mesh, findings);
   result.form = rest.form;
-  if (!result.is_flat()) turn_outwards(mesh, findings);
+  if (!result.is_flat()) {
+    turn_outwards(mesh, findings);
+    untangle(mesh, findings);
+  }
   auto names = resolve_names(mesh, input, options, result.is_flat(), result.grasp, findings);
   if (options.remesh) remesh(mesh, rest.chart, *options.remesh, names, findings);
   if (result.is_flat()) result.layers = flat_layers(mesh, findings);

@@ -44,7 +44,8 @@ struct ImportedGarment {
 void choose_grasp(ImportedGarment& garment, const ImportOptions& options);
 
 /// Imports a mesh file, or the YAML of a garment with its names. The passes, in this order: file, triangulate, units,
-/// up, weld, faces, non-manifold edges, bow-ties, orientation, pieces, holes, flat, rest shape, names, remesh.
+/// up, weld, faces, non-manifold edges, bow-ties, orientation, pieces, holes, flat, rest shape, crossings, names,
+/// remesh.
 /// Importing the result again changes nothing.
 /// @throws ConfigError for what cannot be mended, naming the place.
 ImportedGarment import_garment(const std::filesystem::path& path, const ImportOptions& options);
