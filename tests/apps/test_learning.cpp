@@ -125,12 +125,13 @@ TEST(Learning, GenerateTrainEvaluateSurviveBeingKilled) {
   EXPECT_LT(error, figures.at("baselines").at("mean_shape").at("mean_mm").get<double>());
   // The examples are held out, and no warning says otherwise.
   EXPECT_THAT(evaluated.output, Not(HasSubstr("warning")));
-  // A prediction without knowledge of the material has a larger sigma; from 50 examples the network learns that before
-  // the errors differ. Sigma is neither far too small nor so large that everything lies within it.
+  // A prediction without knowledge of the material is further off and less likely. (By how much sigma grows after 50 examples
+  // depends on the last digits, and so on the processor.) Sigma is neither far too small nor so large that all lies within it.
   const auto settled = [&](const char* what, const char* figure) {
     return figures.at("settled").at(what).at(figure).get<double>();
   };
-  EXPECT_GT(settled("no_knowledge", "sigma_mm"), settled("from_start", "sigma_mm"));
+  EXPECT_GT(settled("no_knowledge", "mean_mm"), 1.05 * error);
+  EXPECT_GT(settled("no_knowledge", "nll"), settled("from_start", "nll") + 0.2);
   for (const char* what : {"from_start", "from_random", "no_knowledge"}) {
     EXPECT_GT(settled(what, "coverage_1sigma"), 0.45) << what;
     EXPECT_LT(settled(what, "coverage_1sigma"), 0.9) << what;
