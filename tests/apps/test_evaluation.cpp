@@ -63,7 +63,8 @@ TEST(EvaluatePlanning, IsResumedAfterBeingKilledAndRepeats) {
   EXPECT_THAT(whole.output, HasSubstr("4/4"));
   for (const double seconds : {0.05, 0.1, 0.15, 0.25, 0.6})
     killed_command(seconds, command + "--jobs 1 --quiet --out " + quoted(folder / "parts"));
-  const Outcome rest = weft_command(command + "--jobs 1 --json --out " + quoted(folder / "parts"));
+  // On a slow machine three of the kills may have met one case, which then counts as lost.
+  const Outcome rest = weft_command(command + "--jobs 1 --json --retry-failed --out " + quoted(folder / "parts"));
   ASSERT_EQ(rest.code, 0) << rest.output;
   const json result = read(folder / "whole/planning.json");
   EXPECT_EQ(without_seconds(json::parse(rest.output)), without_seconds(result));
