@@ -183,8 +183,9 @@ std::string lay(Context& context, const ImportRequest& request, ImportedGarment&
   garment.kept = std::move(whole);
   garment.findings.push_back({"lay", FindingKind::mended, garment.mesh.positions.rows(), laid_text(laid)});
   if (laid.crossings == 0) return "";
-  garment.findings.push_back({"lay", FindingKind::warning, laid.crossings, crossing_text(worn, laid)});
-  return crossing_text(worn, laid);
+  const std::string crossing = crossing_text(worn, laid);
+  garment.findings.push_back({"lay", FindingKind::warning, laid.crossings, crossing});
+  return crossing;
 }
 
 int run_import(Context& context, ImportRequest request) {

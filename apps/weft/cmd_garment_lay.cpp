@@ -79,12 +79,12 @@ std::string crossing_text(const Garment& drawn, const LaidGarment& laid) {
   if (!laid.crossing_before) return text + ": try `weft garment lay` with a larger --thickness or a longer --fall";
   const Intersection& one = *laid.crossing_before;
   const Vec3 at = 0.5 * (drawn.positions.row(one.edge[0]) + drawn.positions.row(one.edge[1])).transpose();
-  char place[120];
-  std::snprintf(place, sizeof place, "edge %d-%d with face %d near (%.3f, %.3f, %.3f) m", one.edge[0], one.edge[1],
-                one.face, at.x(), at.y(), at.z());
+  char place[140];
+  std::snprintf(place, sizeof place, "edge %d-%d with face %d (numbered from 0) near (%.3f, %.3f, %.3f) m", one.edge[0],
+                one.edge[1], one.face, at.x(), at.y(), at.z());
   text += "; so does the mesh as drawn, in " + std::to_string(laid.crossings_before) + ", such as " + place;
-  return text + (laid.pieces_cross ? ": two pieces cross there; move them apart, or import one of them alone (--piece)"
-                                   : ": mend it there");
+  return text + (one.between_pieces ? ": two pieces cross there; move them apart, or import one of them alone (--piece)"
+                                    : ": mend it there");
 }
 
 void register_garment_lay(CLI::App& garment, Context& context) {

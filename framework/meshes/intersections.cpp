@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "meshes/intersections.hpp"
+#include "sdk/disjoint_sets.hpp"
 #include "weft/error.hpp"
 #include "weft/mesh.hpp"
 
@@ -195,6 +196,11 @@ std::vector<Intersection> find_intersections(const Positions& positions, const F
     all.push_back(one);
     return all.size() < most;
   });
+  if (all.empty()) return all;
+  DisjointSets pieces(positions.rows());
+  for (Index f = 0; f < faces.rows(); ++f)
+    for (const int corner : {1, 2}) pieces.unite(faces(f, 0), faces(f, corner));
+  for (Intersection& one : all) one.between_pieces = pieces.root(one.edge[0]) != pieces.root(faces(one.face, 0));
   return all;
 }
 

@@ -13,6 +13,7 @@ Index count_intersections(const Positions& positions, const Faces& faces);
 struct Intersection {
   std::array<int, 2> edge;  ///< its vertices
   int face;
+  bool between_pieces = false;  ///< no edges lead from one to the other
 };
 /// The first `most` of them, edge by edge.
 std::vector<Intersection> find_intersections(const Positions& positions, const Faces& faces, std::size_t most);

@@ -15,20 +15,6 @@ namespace {
 
 const Positions kNoHands(0, 3);
 
-/// Where the garment crosses itself as it is drawn.
-void note_crossings(const Garment& garment, LaidGarment& laid) {
-  const auto crossings = find_intersections(garment.positions, garment.faces, std::numeric_limits<std::size_t>::max());
-  laid.crossings_before = static_cast<Index>(crossings.size());
-  DisjointSets pieces(garment.vertex_count());
-  for (Index f = 0; f < garment.face_count(); ++f)
-    for (const int corner : {1, 2}) pieces.unite(garment.faces(f, 0), garment.faces(f, corner));
-  for (const Intersection& one : crossings) {
-    const bool between = pieces.root(one.edge[0]) != pieces.root(garment.faces(one.face, 0));
-    if (!laid.crossing_before || (between && !laid.pieces_cross)) laid.crossing_before = one;
-    laid.pieces_cross = laid.pieces_cross || between;
-  }
-}
-
 /// Open boundaries of the mesh: open edges, joined at their vertices.
 Index boundary_loops(const Faces& faces, Index vertices) {
   DisjointSets joined(vertices);
@@ -107,7 +93,12 @@ Positions lying_pose(const Garment& garment) {
 LaidGarment lay_garment(const Garment& garment, Simulator& simulator, const LayParams& params,
                         const Cancelled& cancelled) {
   LaidGarment result;
-  note_crossings(garment, result);
+  const auto drawn = find_intersections(garment.positions, garment.faces, std::numeric_limits<std::size_t>::max());
+  result.crossings_before = static_cast<Index>(drawn.size());
+  if (!drawn.empty())
+    result.crossing_before = *std::max_element(drawn.begin(), drawn.end(), [](const auto& one, const auto& other) {
+      return !one.between_pieces && other.between_pieces;
+    });
   Fabric fabric;
   fabric.name = "laid";
   fabric.density_kg_per_m2 = params.density_kg_per_m2;

@@ -36,7 +36,6 @@ struct LaidGarment {
   std::vector<double> layers;                   ///< [V] sheets of cloth below
   Index crossings_before = 0;                   ///< of edges and faces, as drawn
   std::optional<Intersection> crossing_before;  ///< one of them: of two pieces where there is such a one
-  bool pieces_cross = false;                    ///< two pieces cross as drawn, which no edge joins
   Index crossings = 0;                          ///< most at the end, of half, all and four times the thickness
   Index frames = 0;                             ///< simulated
   double height = 0.0;                          ///< m, of the highest vertex

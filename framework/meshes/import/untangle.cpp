@@ -17,12 +17,13 @@ constexpr double kFarthestMove = 2.0;
 /// The neighbours that a vertex is smoothed towards: along the boundary for its vertices, else all.
 std::vector<std::set<int>> neighbours_of(const ImportMesh& mesh) {
   std::vector<std::set<int>> all(mesh.positions.size()), open(mesh.positions.size());
+  const auto join = [](std::vector<std::set<int>>& sets, const MeshSide& side) {
+    sets[side.first].insert(side.second);
+    sets[side.second].insert(side.first);
+  };
   for_each_edge(mesh_sides(mesh.faces), [&](const MeshSide* begin, const MeshSide* end) {
-    for (auto* sets : {&all, &open}) {
-      if (sets == &open && end - begin > 1) continue;
-      (*sets)[static_cast<std::size_t>(begin->first)].insert(begin->second);
-      (*sets)[static_cast<std::size_t>(begin->second)].insert(begin->first);
-    }
+    join(all, *begin);
+    if (end - begin == 1) join(open, *begin);
   });
   for (std::size_t v = 0; v < all.size(); ++v)
     if (!open[v].empty()) all[v] = std::move(open[v]);
@@ -36,12 +37,9 @@ void untangle(ImportMesh& mesh, Findings& findings) {
   auto crossings = find_intersections(drawn.positions, drawn.faces, kMostCrossings + 1);
   if (crossings.empty() || crossings.size() > kMostCrossings) return;
   Finding finding{"crossings", FindingKind::mended, static_cast<std::int64_t>(crossings.size()), ""};
-  DisjointSets pieces(mesh.positions.size());
-  for (const auto& face : mesh.faces)
-    for (const std::size_t corner : {1, 2}) pieces.unite(face[0], face[corner]);
   std::set<int> places;
   for (const Intersection& one : crossings) {
-    if (pieces.root(one.edge[0]) != pieces.root(drawn.faces(one.face, 0))) return;
+    if (one.between_pieces) return;
     places.insert(one.edge[0]);
   }
   for (const int v : places) finding.places.push_back(mesh.place(v));
@@ -56,8 +54,8 @@ void untangle(ImportMesh& mesh, Findings& findings) {
     Positions smoothed = drawn.positions;
     for (const int v : moved) {
       Eigen::RowVector3d mean = Eigen::RowVector3d::Zero();
-      for (const int other : neighbours[static_cast<std::size_t>(v)]) mean += drawn.positions.row(other);
-      mean /= static_cast<double>(neighbours[static_cast<std::size_t>(v)].size());
+      for (const int other : neighbours[v]) mean += drawn.positions.row(other);
+      mean /= static_cast<double>(neighbours[v].size());
       smoothed.row(v) = 0.5 * (drawn.positions.row(v) + mean);
     }
     drawn.positions = smoothed;
@@ -66,7 +64,7 @@ void untangle(ImportMesh& mesh, Findings& findings) {
   double farthest = 0.0;
   for (const int v : moved) farthest = std::max(farthest, (drawn.positions.row(v).transpose() - mesh.at(v)).norm());
   if (!crossings.empty() || farthest > kFarthestMove * mesh.median_edge()) return;
-  for (const int v : moved) mesh.positions[static_cast<std::size_t>(v)] = drawn.positions.row(v).transpose();
+  for (const int v : moved) mesh.positions[v] = drawn.positions.row(v).transpose();
   finding.text = counted(finding.count, "edge") +
                  " through a face: " + counted(static_cast<std::int64_t>(moved.size()), "vertex", "vertices") +
                  " moved by at most " + length_text(farthest) + ": " +

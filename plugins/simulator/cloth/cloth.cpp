@@ -26,7 +26,7 @@ constexpr double kSinkLength = 5e-5, kSinkMost = 0.1;
 constexpr float kSpring = 0.4f, kSpringScaled = 0.5f;
 // A garment of several layers presses with several times its own weight where it is folded, and a fold on coarse edges with more.
 // There a layer may sink in by this part of the thickness. Springs take at least kSpringLayers of the limit, and all that the
-// elements leave. With kSink and kSpring pairs yielded again and again, and a third of the folds vibrated for ever.
+// elements leave. With kSink and kSpring pairs yielded again and again, and nearly half of the folds vibrated for ever.
 constexpr double kSinkLayers = 0.005, kSpringLayers = 1.5;
 // A pair pressed deeper than this part of its distance yields. It is stopped at half of its distance.
 constexpr float kYield = 0.25f, kYieldLayers = 0.45f;
@@ -121,7 +121,7 @@ void Cloth::choose_inertia(bool fine) {
                                            masses_, length);
   if (elements_->nonlinear() && scaling_->stages() == 1) elements_->refer_to_rest();
   contact_ = std::make_unique<SelfContact>(*topology_, *tree_, fabric, scaling_->stages() > 1 ? kSpringScaled : kSpring,
-                                           has_layers() ? kYieldLayers : kYield);
+                                           shares_limit() ? kYieldLayers : kYield);
   choose_step();
 }
 
@@ -134,9 +134,9 @@ void Cloth::choose_step() {
   longest_step_ = stable_step(spectrum_, part * stretch_s, part * bend_s, params_.step_safety);
   if (params_.self_contact) {
     const double g = scene().gravity.norm();
-    const bool scaled = scaling_->stages() > 1;
-    const double sink = scaled ? std::clamp(kSinkLength / fabric().thickness_m, kSinkScaled, kSinkMost) : kSink;
-    if (has_layers() && !scaled)
+    const double sink =
+        scaling_->stages() > 1 ? std::clamp(kSinkLength / fabric().thickness_m, kSinkScaled, kSinkMost) : kSink;
+    if (shares_limit())
       share_limit(g);
     else
       longest_step_ = std::min(longest_step_, contact_->longest_step(g, sink));

@@ -52,7 +52,9 @@ class Cloth final : public SimulatorBase {
   void choose_inertia(bool fine);
   void choose_step();
   void share_limit(double g);
-  bool has_layers() const { return !garment().form.layers.empty(); }
+  /// The springs of contact take what the elements leave of the limit: in garments of several layers. Not where inertia is
+  /// scaled, which was not measured.
+  bool shares_limit() const { return !garment().form.layers.empty() && scaling_->stages() == 1; }
   void check_substeps() const;
   void load_state();
   void aim(const Positions& targets);

@@ -22,13 +22,18 @@ double start_value(std::size_t i) {
 // The coupling in stable_step(). Cloth that is folded sharply on coarse edges reaches 0.26.
 constexpr double kShared = 0.3;
 
-/// Of the explicit limit, in two directions: dt^2 stiffness + dt damping.
+/// Of the explicit limit: dt^2 stiffness + dt damping.
 struct Demand {
   double stiffness, damping;
 };
+/// Of motion along the cloth and across it, each with its part of the other.
 std::pair<Demand, Demand> demands(const Spectrum& s, double stretch_damping_s, double bend_damping_s) {
-  return {{0.25 * (s.membrane + s.bending), 0.5 * s.membrane * stretch_damping_s},
-          {0.25 * s.bending, 0.5 * s.bending * bend_damping_s}};
+  const Demand along{0.25 * (s.membrane + s.bending), 0.5 * s.membrane * stretch_damping_s};
+  const Demand across{0.25 * s.bending, 0.5 * s.bending * bend_damping_s};
+  const auto coupled = [](const Demand& one, const Demand& other) {
+    return Demand{one.stiffness + kShared * other.stiffness, one.damping + kShared * other.damping};
+  };
+  return {coupled(along, across), coupled(across, along)};
 }
 
 /// The largest eigenvalue of the membrane, 1/s^2, in N coordinates: the plane of a chart, or space.
@@ -108,30 +113,28 @@ double damping_part(const Spectrum& spectrum, double stretch_damping_s, double b
   if (least_step <= 0.0) return 1.0;
   const double step = least_step * stable_step(spectrum, 0.0, 0.0, safety);
   const auto [along, across] = demands(spectrum, stretch_damping_s, bend_damping_s);
-  const auto part = [&](const Demand& one, const Demand& other) {
-    const double wanted = step * (one.damping + kShared * other.damping);
-    const double left = safety * safety - step * step * (one.stiffness + kShared * other.stiffness);
+  const auto part = [&](const Demand& demand) {
+    const double wanted = step * demand.damping;
+    const double left = safety * safety - step * step * demand.stiffness;
     return wanted > 0.0 ? left / wanted : 1.0;
   };
-  return std::clamp(std::min(part(along, across), part(across, along)), 0.0, 1.0);
+  return std::clamp(std::min(part(along), part(across)), 0.0, 1.0);
 }
 
 double limit_taken(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double step) {
   const auto [along, across] = demands(spectrum, stretch_damping_s, bend_damping_s);
-  const auto taken = [&](const Demand& one, const Demand& other) {
-    return step * step * (one.stiffness + kShared * other.stiffness) + step * (one.damping + kShared * other.damping);
-  };
-  return 4.0 * std::max(taken(along, across), taken(across, along));
+  const auto taken = [&](const Demand& demand) { return step * step * demand.stiffness + step * demand.damping; };
+  return 4.0 * std::max(taken(along), taken(across));
 }
 
 double stable_step(const Spectrum& spectrum, double stretch_damping_s, double bend_damping_s, double safety) {
   const double c = safety * safety;
   const auto [along, across] = demands(spectrum, stretch_damping_s, bend_damping_s);
-  const auto longest = [&](const Demand& one, const Demand& other) {
-    const double a = one.stiffness + kShared * other.stiffness, b = one.damping + kShared * other.damping;
+  const auto longest = [&](const Demand& demand) {
+    const double a = demand.stiffness, b = demand.damping;
     return a > 0.0 ? 2.0 * c / (b + std::sqrt(b * b + 4.0 * a * c)) : 1.0;
   };
-  return std::min(longest(along, across), longest(across, along));
+  return std::min(longest(along), longest(across));
 }
 
 }  // namespace weft::cloth
