@@ -178,8 +178,8 @@ class Mesher {
     for (std::int64_t row = 1; low.y() + static_cast<double>(row) * row_height < high.y(); ++row) {
       const double offset = row % 2 == 0 ? 0.0 : 0.5;
       for (std::int64_t column = 0;; ++column) {
-        const Vec2 p(low.x() + (static_cast<double>(column) + offset) * h,
-                     low.y() + static_cast<double>(row) * row_height);
+        const Vec2 p(low.x() + (static_cast<double>(column) + offset + size_.lattice_shift.x()) * h,
+                     low.y() + (static_cast<double>(row) + size_.lattice_shift.y()) * row_height);
         if (p.x() > high.x()) break;
         const double wanted = size_.at(p);
         if (grid.near(p, std::min(0.9 * wanted, size_.edge_m))) continue;

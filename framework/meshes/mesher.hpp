@@ -20,6 +20,9 @@ struct MeshSize {
   double fine_band_m = 0.0;  ///< half width of the band
   double growth = 0.15;
   std::vector<Line> fine_lines = {};
+  /// Of the lattice that the inner vertices begin on, as a part of its spacing. With another one the outline gets the same
+  /// vertices and the inside others.
+  Vec2 lattice_shift = Vec2::Zero();
   double at(const Vec2& p) const;
 };
 

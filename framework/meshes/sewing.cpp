@@ -39,6 +39,39 @@ void cut_edge(std::vector<Vec2>& places, std::vector<std::array<int, 3>>& faces,
   }
 }
 
+/// A front or a back: its vertices and faces, and which vertices are in seams.
+struct Side {
+  std::vector<Vec2> places;
+  std::vector<std::array<int, 3>> faces;
+  std::vector<bool> joined;
+
+  Side(const Mesh& mesh, const std::function<bool(const Vec2&, const Vec2&)>& is_sewn) {
+    for (Index v = 0; v < mesh.positions.rows(); ++v) places.push_back(mesh.positions.row(v).head<2>().transpose());
+    for (Index f = 0; f < mesh.faces.rows(); ++f)
+      faces.push_back({mesh.faces(f, 0), mesh.faces(f, 1), mesh.faces(f, 2)});
+    joined.assign(places.size(), false);
+    bool any = false;
+    for (const auto& [edge, beside] : faces_beside(faces)) {
+      const auto a = static_cast<std::size_t>(edge.first), b = static_cast<std::size_t>(edge.second);
+      if (beside.size() == 1 && is_sewn(places[a], places[b])) joined[a] = joined[b] = any = true;
+    }
+    if (!any) throw Error("sew_front_and_back: no edge of the border is a seam");
+    while (cut_between_seams()) {
+    }
+  }
+
+ private:
+  bool cut_between_seams() {
+    for (const auto& [edge, beside] : faces_beside(faces)) {
+      if (beside.size() != 2 || !joined[edge.first] || !joined[edge.second]) continue;
+      cut_edge(places, faces, edge, beside);
+      joined.push_back(false);
+      return true;  // the list of edges has changed
+    }
+    return false;
+  }
+};
+
 double segment_distance(const Vec2& p, const Vec2& a, const Vec2& b) {
   const Vec2 e = b - a;
   return (p - a - std::clamp((p - a).dot(e) / e.squaredNorm(), 0.0, 1.0) * e).norm();
@@ -46,50 +79,43 @@ double segment_distance(const Vec2& p, const Vec2& a, const Vec2& b) {
 
 }  // namespace
 
-SewnMesh sew_front_and_back(const Mesh& front, const std::function<bool(const Vec2&, const Vec2&)>& is_sewn) {
-  std::vector<Vec2> places;
-  for (Index v = 0; v < front.positions.rows(); ++v) places.push_back(front.positions.row(v).head<2>().transpose());
-  std::vector<std::array<int, 3>> faces;
-  for (Index f = 0; f < front.faces.rows(); ++f)
-    faces.push_back({front.faces(f, 0), front.faces(f, 1), front.faces(f, 2)});
-  std::vector<bool> joined(places.size(), false);
-  bool any = false;
-  for (const auto& [edge, beside] : faces_beside(faces)) {
-    const auto a = static_cast<std::size_t>(edge.first), b = static_cast<std::size_t>(edge.second);
-    if (beside.size() == 1 && is_sewn(places[a], places[b])) joined[a] = joined[b] = any = true;
-  }
-  if (!any) throw Error("sew_front_and_back: no edge of the border is a seam");
-  for (bool cut = true; cut;) {
-    cut = false;
-    for (const auto& [edge, beside] : faces_beside(faces)) {
-      if (beside.size() != 2 || !joined[edge.first] || !joined[edge.second]) continue;
-      cut_edge(places, faces, edge, beside);
-      joined.push_back(false);
-      cut = true;
-      break;  // the list of edges has changed
-    }
-  }
-
+SewnMesh sew_front_and_back(const Mesh& front, const Mesh& back,
+                            const std::function<bool(const Vec2&, const Vec2&)>& is_sewn) {
+  const Side above(front, is_sewn), below(back, is_sewn);
   SewnMesh sewn;
-  const std::size_t n = places.size();
-  auto next = static_cast<int>(n);
-  for (std::size_t v = 0; v < n; ++v) sewn.back.push_back(joined[v] ? static_cast<int>(v) : next++);
+  std::map<std::pair<double, double>, std::size_t> front_at;
+  for (std::size_t v = 0; v < above.places.size(); ++v) front_at[{above.places[v].x(), above.places[v].y()}] = v;
+  sewn.back.assign(above.places.size(), -1);
+  std::vector<int> number;  // of the back's vertices
+  std::size_t shared = 0;
+  auto next = static_cast<int>(above.places.size());
+  for (std::size_t v = 0; v < below.places.size(); ++v) {
+    const auto same = front_at.find({below.places[v].x(), below.places[v].y()});
+    const bool joined = below.joined[v] && same != front_at.end() && above.joined[same->second];
+    number.push_back(joined ? static_cast<int>(same->second) : next++);
+    shared += joined;
+    if (same != front_at.end()) sewn.back[same->second] = number.back();
+  }
+  const auto in_seams = [](const Side& side) { return std::count(side.joined.begin(), side.joined.end(), true); };
+  if (static_cast<std::ptrdiff_t>(shared) != in_seams(above) || in_seams(above) != in_seams(below))
+    throw Error("sew_front_and_back: front and back have not the same vertices at the seams");
+
   Mesh& mesh = sewn.mesh;
   mesh.source = front.source;
   mesh.positions = Positions::Zero(next, 3);
   sewn.form.layers.assign(next, 0.0);
-  for (std::size_t v = 0; v < n; ++v) {
-    mesh.positions.row(static_cast<Index>(v)).head<2>() = places[v].transpose();
-    mesh.positions.row(sewn.back[v]).head<2>() = places[v].transpose();
-    if (!joined[v]) sewn.form.layers[v] = 1.0;
+  for (std::size_t v = 0; v < above.places.size(); ++v) {
+    mesh.positions.row(static_cast<Index>(v)).head<2>() = above.places[v].transpose();
+    if (!above.joined[v]) sewn.form.layers[v] = 1.0;
   }
-  const auto half = static_cast<Index>(faces.size());
-  mesh.faces.resize(2 * half, 3);
-  for (Index f = 0; f < half; ++f) {
-    const auto& face = faces[f];
-    const auto back = [&](std::size_t k) { return sewn.back[face[k]]; };
-    mesh.faces.row(f) << face[0], face[1], face[2];
-    mesh.faces.row(half + f) << back(0), back(2), back(1);
+  for (std::size_t v = 0; v < below.places.size(); ++v)
+    mesh.positions.row(number[v]).head<2>() = below.places[v].transpose();
+  const auto half = static_cast<Index>(above.faces.size());
+  mesh.faces.resize(half + static_cast<Index>(below.faces.size()), 3);
+  for (Index f = 0; f < half; ++f) mesh.faces.row(f) << above.faces[f][0], above.faces[f][1], above.faces[f][2];
+  for (Index f = half; f < mesh.faces.rows(); ++f) {
+    const auto& face = below.faces[f - half];
+    mesh.faces.row(f) << number[face[0]], number[face[2]], number[face[1]];
   }
   sewn.form.frames = frames_of_shape(mesh.positions, mesh.faces, {true, Vec3(0.0, 1.0, 0.0)});
   sewn.form.seams = edges_between_sides(mesh.positions, mesh.faces);

@@ -72,16 +72,19 @@ Positions lying_pose(const Garment& garment) {
   const Positions from_centre = x.rowwise() - centre;
   const Eigen::Matrix3d spread = from_centre.transpose() * from_centre;
   Eigen::Matrix3d turn = Eigen::Matrix3d::Identity();  // rows: the new axes
-  if (boundary_loops(garment.faces, x.rows()) == 1) {
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(spread);
+  // A sheet with holes, and sheets over each other, have as many boundaries as a tube. But they are thin.
+  constexpr double kThin = 0.2;
+  const bool thin = axes.eigenvalues()(0) < kThin * kThin * axes.eigenvalues()(1);
+  if (thin || boundary_loops(garment.faces, x.rows()) == 1) {
     // A sheet: the direction in which it is least extended becomes the vertical.
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(spread);
     Eigen::Vector3d normal = axes.eigenvectors().col(0);
     if (normal.z() < 0.0) normal = -normal;
     turn = Eigen::Quaterniond::FromTwoVectors(normal, Eigen::Vector3d::UnitZ()).toRotationMatrix();
   } else {
     // A garment that stands: its thinner horizontal direction becomes the vertical, up becomes y.
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes(Eigen::Matrix2d(spread.topLeftCorner<2, 2>()));
-    Eigen::Vector2d wide = axes.eigenvectors().col(1);
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> across(Eigen::Matrix2d(spread.topLeftCorner<2, 2>()));
+    Eigen::Vector2d wide = across.eigenvectors().col(1);
     if (wide.x() < 0.0 || (wide.x() == 0.0 && wide.y() < 0.0)) wide = -wide;
     turn.row(0) << wide.x(), wide.y(), 0.0;
     turn.row(1) << 0.0, 0.0, 1.0;

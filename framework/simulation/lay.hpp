@@ -43,7 +43,7 @@ struct LaidGarment {
   bool settled = false;
 };
 
-/// The garment turned to lie: a tube or a closed garment on its back, its up axis along y; a sheet as it is most
+/// The garment turned to lie: a tube or a closed garment on its back, its up axis along y; a sheet, and what is thin, as it is most
 /// extended. A turn, no stretch.
 Positions lying_pose(const Garment& garment);
 

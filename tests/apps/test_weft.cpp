@@ -2,6 +2,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <regex>
+#include <sstream>
 
 #include "experiments/ablation.hpp"
 #include "loader/registry.hpp"
@@ -285,6 +286,13 @@ TEST(Program, MakesGarmentsOfTwoLayers) {
   ASSERT_EQ(made.code, 0) << made.output;
   EXPECT_THAT(text_of(folder / "shirt.yaml"),
               AllOf(HasSubstr("from: mesh"), HasSubstr("layers: sides"), HasSubstr("back_collar")));
+  std::map<std::string, int> vertices;
+  std::istringstream obj(text_of(shirt));
+  for (std::string line; std::getline(obj, line);)
+    if (line.starts_with("v ")) ++vertices[line];
+  const auto pairs = std::count_if(vertices.begin(), vertices.end(), [](const auto& v) { return v.second == 2; });
+  EXPECT_GT(pairs, 5) << "at the openings";
+  EXPECT_LT(pairs, static_cast<std::ptrdiff_t>(vertices.size()) / 5) << "inside, the back has vertices of its own";
   folder.write(
       "scene.yaml",
       "garment: shirt.yaml\nfabric: {density_kg_per_m2: 0.15, stretch_n_per_m: {warp: 110, weft: 165, shear: 55}, bend_n_m: {warp: 2.0e-5, weft: 2.0e-5}, thickness_m: 0.002}\nduration_s: 0.2\n");
@@ -293,7 +301,8 @@ TEST(Program, MakesGarmentsOfTwoLayers) {
   ASSERT_EQ(run.code, 0) << run.output;
   const auto summary = nlohmann::json::parse(text_of(folder / "out/summary.json"));
   EXPECT_EQ(summary.at("intersections"), 0);
-  EXPECT_NEAR(summary.at("max_z_m"), 0.004, 4e-4) << "the front lies on the back";
+  EXPECT_GT(summary.at("max_z_m"), 0.0036) << "the front lies on the back";
+  EXPECT_LT(summary.at("max_z_m"), 0.0056) << "and bulges where vertices of the back lie near a seam";
   // The saved scene gives the same bits.
   const Outcome again = weft_command("simulate '" + out + "/config.yaml' --out '" + out + "/again'");
   ASSERT_EQ(again.code, 0) << again.output;

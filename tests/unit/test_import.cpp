@@ -7,6 +7,8 @@
 #include "meshes/import/import.hpp"
 #include "meshes/import/pieces.hpp"
 #include "meshes/intersections.hpp"
+#include "meshes/mesher.hpp"
+#include "meshes/sewing.hpp"
 #include "test_support.hpp"
 
 namespace weft {
@@ -203,6 +205,35 @@ TEST(Import, DoesNotSewTouchingLayersTogether) {
   EXPECT_EQ(garment.layers.front(), 0.0);
   EXPECT_EQ(garment.layers.back(), 2.0);
   EXPECT_EQ(garment.garment("two").form.seams.rows(), 0);
+}
+
+TEST(Import, KeepsFrontAndBackApartAtOpenings) {
+  // The back has vertices of its own inside, so at the openings alone vertices of front and back coincide.
+  const Outline outline = towel_outline({});
+  MeshSize size{0.05};
+  const Mesh front = generate_mesh(outline, size).mesh;
+  size.lattice_shift = {0.5, 0.3};
+  const Mesh back = generate_mesh(outline, size).mesh;
+  const SewnMesh sewn =
+      sew_front_and_back(front, back, [&](const Vec2& a, const Vec2& b) { return !is_open_at(outline, a, b); });
+  Text mesh;
+  for (Index v = 0; v < sewn.mesh.positions.rows(); ++v)
+    mesh.v(sewn.mesh.positions(v, 0), sewn.mesh.positions(v, 1), 0.0);
+  for (Index f = 0; f < sewn.mesh.faces.rows(); ++f)
+    mesh.f({sewn.mesh.faces(f, 0), sewn.mesh.faces(f, 1), sewn.mesh.faces(f, 2)});
+  const auto garment = import_text(mesh.text());
+  EXPECT_EQ(garment.mesh.faces, sewn.mesh.faces) << "nothing is joined, and front and back keep their sides";
+  EXPECT_THAT(found(garment, "weld"), HasSubstr("as front and back do at an opening: not joined"));
+  EXPECT_EQ(garment.layers, sewn.form.layers);
+}
+
+TEST(Import, AVertexInNoFaceDecidesNothing) {
+  Text mesh = grid(4, 0.4, flat);
+  mesh.v(1000.0, 1000.0, 9.0);
+  const auto garment = import_text(mesh.text());
+  EXPECT_THAT(found(garment, "units"), HasSubstr("guessed metres: the largest extent of 0.4"));
+  EXPECT_THAT(found(garment, "up"), HasSubstr("guessed up axis z"));
+  EXPECT_THAT(found(garment, "faces"), HasSubstr("1 vertex in no face removed"));
 }
 
 TEST(Import, SaysWhereASeamIsAlmostClosed) {

@@ -5,6 +5,7 @@
 #include "meshes/garment_writer.hpp"
 #include "meshes/intersections.hpp"
 #include "meshes/sewing.hpp"
+#include "simulation/lay.hpp"
 #include "test_support.hpp"
 #include "weft/config.hpp"
 #include "weft/rest_shape.hpp"
@@ -132,6 +133,41 @@ TEST(Sewing, FrontAndBackShareTheSeamsAndDoNotCross) {
   EXPECT_NEAR(lowest.height, 0.102, 1e-12);
   EXPECT_LT(lowest.vertices, garment.vertex_count());
   EXPECT_THROW(sew_front_and_back(grid(2, 0.2), [](const Vec2&, const Vec2&) { return false; }), Error);
+}
+
+TEST(Sewing, TheBackMayHaveOtherVerticesInside) {
+  const auto left = [](const Vec2& a, const Vec2& b) { return a.x() < 0.199 || b.x() < 0.199; };
+  const Mesh front = grid(4, 0.2);
+  Mesh back = front;
+  for (Index v = 0; v < back.positions.rows(); ++v)
+    if (back.positions.row(v).head<2>().minCoeff() > 1e-9 && back.positions.row(v).head<2>().maxCoeff() < 0.2 - 1e-9)
+      back.positions(v, 0) += 0.01;
+  const SewnMesh sewn = sew_front_and_back(front, back, left), copied = sew_front_and_back(front, left);
+  EXPECT_EQ(sewn.form.seams, copied.form.seams);
+  EXPECT_EQ(sewn.mesh.faces, copied.mesh.faces) << "the same faces, at other places";
+  EXPECT_EQ(std::count(sewn.back.begin(), sewn.back.end(), -1), 9) << "the inner vertices";
+  EXPECT_EQ(std::count(copied.back.begin(), copied.back.end(), -1), 0);
+  back.positions(0, 0) -= 0.01;  // a corner
+  EXPECT_THROW(sew_front_and_back(front, back, left), Error);
+}
+
+TEST(LyingPose, AThinSheetWithAHoleLiesAsASheet) {
+  Mesh mesh = grid(6, 0.6);
+  Faces rest(mesh.faces.rows(), 3);
+  Index kept = 0;
+  for (Index f = 0; f < mesh.faces.rows(); ++f) {
+    Eigen::RowVector3d centre = Eigen::RowVector3d::Zero();
+    for (int k = 0; k < 3; ++k) centre += mesh.positions.row(mesh.faces(f, k)) / 3.0;
+    if ((centre.head<2>().array() - 0.3).abs().maxCoeff() > 0.1) rest.row(kept++) = mesh.faces.row(f);
+  }
+  mesh.faces = rest.topRows(kept);
+  mesh.positions.row(24) = mesh.positions.row(0);  // the middle vertex is in no face
+  for (Index v = 0; v < mesh.positions.rows(); ++v) mesh.positions(v, 2) = 0.02 * std::sin(12.0 * mesh.positions(v, 0));
+  Garment garment;
+  garment.positions = mesh.positions;
+  garment.faces = mesh.faces;
+  const Positions lying = lying_pose(garment);
+  EXPECT_LT(lying.col(2).maxCoeff() - lying.col(2).minCoeff(), 0.1) << "two boundaries, as a tube has";
 }
 
 TEST(Garment, WithoutLayersTheStartIsLiftedAsEver) {

@@ -260,6 +260,10 @@ ImportedGarment import_garment(const std::filesystem::path& path, const ImportOp
     frame.reason = "as given";
   }
   ImportMesh mesh = triangulate_file(file.polygons, input.mesh.string(), findings);
+  // Before its size and its up axis are looked at: a vertex in no face may lie anywhere.
+  if (const int unused = mesh.drop_unused(); unused > 0)
+    findings.push_back(
+        {"faces", FindingKind::mended, unused, counted(unused, "vertex", "vertices") + " in no face removed"});
   to_metres_z_up(mesh, frame, findings);
   result.before = mesh;
   weld(mesh, options.weld_m, findings);

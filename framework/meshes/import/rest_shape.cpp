@@ -86,10 +86,14 @@ double lay_flat(ImportMesh& mesh, Findings& findings) {
 std::int64_t turn_up(ImportMesh& mesh, Findings& findings) {
   std::int64_t turned = 0, down = 0;
   for (const MeshPiece& piece : pieces_of(mesh)) {
-    double area = 0.0;
-    for (const int f : piece.faces) area += mesh.area_vector(f).z();
+    double area = 0.0, all = 0.0;
     for (const int f : piece.faces) {
-      if (area < 0.0) {
+      area += mesh.area_vector(f).z();
+      all += mesh.area_vector(f).norm();
+    }
+    // Front and back of a closed garment have the same area: which of them is larger is rounding.
+    for (const int f : piece.faces) {
+      if (area < -1e-6 * all) {
         auto &face = mesh.faces[static_cast<std::size_t>(f)], &texture = mesh.face_texture[static_cast<std::size_t>(f)];
         std::swap(face[1], face[2]);
         std::swap(texture[1], texture[2]);

@@ -1,6 +1,9 @@
 #include "meshes/import/weld.hpp"
 
+#include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <numeric>
 #include <set>
 
@@ -28,6 +31,30 @@ void near_pairs(const ImportMesh& mesh, double distance, const std::vector<int>&
       if ((mesh.at(u) - mesh.at(v)).norm() <= distance) visit(u, v);
     }
   }
+}
+
+/// Whether two faces that meet at a place cover part of each other there, as the layers of a garment do. Faces beside each other, as
+/// at a seam, do not.
+bool covers(const ImportMesh& mesh, int first, int first_corner, int second, int second_corner) {
+  constexpr double kOnePlane = 0.9986;  // cosine of 3 degrees between the planes
+  const auto corner = [&](int f, int k) {
+    const auto& face = mesh.faces[static_cast<std::size_t>(f)];
+    const auto at = [&](int i) { return mesh.at(face[static_cast<std::size_t>((k + i) % 3)]); };
+    return std::array<Vec3, 2>{(at(1) - at(0)).normalized(), (at(2) - at(0)).normalized()};
+  };
+  const Vec3 normal = mesh.area_vector(first).normalized();
+  if (!(std::abs(normal.dot(mesh.area_vector(second).normalized())) > kOnePlane)) return false;
+  auto own = corner(first, first_corner), other = corner(second, second_corner);
+  // Counter-clockwise about the first one's normal.
+  if (own[0].cross(own[1]).dot(normal) < 0.0) std::swap(own[0], own[1]);
+  if (other[0].cross(other[1]).dot(normal) < 0.0) std::swap(other[0], other[1]);
+  const auto within = [&](const Vec3& d, const std::array<Vec3, 2>& sector) {
+    constexpr double kInside = 1e-3;  // sine: sectors beside each other share a side
+    return sector[0].cross(d).dot(normal) > kInside && d.cross(sector[1]).dot(normal) > kInside;
+  };
+  const Vec3 own_middle = own[0] + own[1], other_middle = other[0] + other[1];
+  return within(other[0], own) || within(other[1], own) || within(own[0], other) || within(own[1], other) ||
+         within(own_middle.normalized(), other) || within(other_middle.normalized(), own);
 }
 
 struct Boundary {
@@ -62,13 +89,32 @@ void weld(ImportMesh& mesh, double distance, Findings& findings) {
   std::vector<int> all(mesh.positions.size());
   std::iota(all.begin(), all.end(), 0);
 
+  std::vector<std::vector<std::pair<int, int>>> around(mesh.positions.size());  // faces and their corners there
+  for (std::size_t f = 0; f < mesh.faces.size(); ++f)
+    for (std::size_t k = 0; k < 3; ++k)
+      around[static_cast<std::size_t>(mesh.faces[f][k])].emplace_back(static_cast<int>(f), static_cast<int>(k));
+  const auto lies_over = [&](int u, int v) {
+    for (const auto& [f, j] : around[static_cast<std::size_t>(u)])
+      for (const auto& [g, k] : around[static_cast<std::size_t>(v)])
+        if (covers(mesh, f, j, g, k)) return true;
+    return false;
+  };
+
   std::vector<std::pair<int, int>> joined;
   std::set<std::pair<int, int>> layers;  // pieces whose interiors coincide somewhere
-  std::vector<Place> layer_places;
-  std::int64_t layer_count = 0;
+  std::vector<Place> layer_places, over_places;
+  std::int64_t layer_count = 0, over = 0;
   near_pairs(mesh, within, all, [&](int u, int v) {
-    if (boundary.edges.count({u, v}) > 0 || (open(u) && open(v))) {
+    if (boundary.edges.count({u, v}) > 0) {
       joined.emplace_back(u, v);
+    } else if (open(u) && open(v)) {
+      // Front and back at an opening. (A repeated face of loose triangles is joined by its neighbours.)
+      if (lies_over(u, v)) {
+        ++over;
+        if (over_places.size() < kMostPlaces) over_places.push_back(mesh.place(v));
+      } else {
+        joined.emplace_back(u, v);
+      }
     } else {
       layers.emplace(std::min(piece(u), piece(v)), std::max(piece(u), piece(v)));
       if (layer_places.size() < kMostPlaces) layer_places.push_back(mesh.place(v));
@@ -77,13 +123,10 @@ void weld(ImportMesh& mesh, double distance, Findings& findings) {
   });
   DisjointSets sets(mesh.positions.size());
   std::vector<Place> places;
-  std::int64_t kept_apart = 0, welded = 0;
+  std::int64_t welded = 0;
   for (const auto& [u, v] : joined) {
     const bool edge = boundary.edges.count({u, v}) > 0;
-    if (!edge && layers.count({std::min(piece(u), piece(v)), std::max(piece(u), piece(v))}) > 0) {
-      ++kept_apart;
-      continue;
-    }
+    if (!edge && layers.count({std::min(piece(u), piece(v)), std::max(piece(u), piece(v))}) > 0) continue;
     if (sets.root(u) == sets.root(v)) continue;
     sets.unite(u, v);
     ++welded;
@@ -101,16 +144,24 @@ void weld(ImportMesh& mesh, double distance, Findings& findings) {
                             " of another one joined with it: " + places_text(places, welded),
                         places});
     mesh.renumber(to);
-  } else {
+  } else if (over == 0) {
     findings.push_back(
         {"weld", FindingKind::fact, 0, "no boundary vertices lie within " + length_text(within) + " of each other"});
   }
   if (layer_count > 0) {
     findings.push_back({"weld", FindingKind::warning, layer_count,
                         counted(layer_count, "vertex", "vertices") + " inside the cloth coincide with others (" +
-                            places_text(layer_places, layer_count) + "): layers that touch; they and the " +
-                            counted(kept_apart, "pair") + " on the boundaries of those pieces were not joined",
+                            places_text(layer_places, layer_count) + "): layers that touch, which are not joined",
                         layer_places});
+  }
+
+  if (over > 0) {
+    findings.push_back({"weld", FindingKind::fact, over,
+                        counted(over, "pair") +
+                            " of boundary vertices coincide where the cloth lies over itself, as front and back do at "
+                            "an opening: not joined (" +
+                            places_text(over_places, over) + ")",
+                        over_places});
   }
 
   // A seam that is almost closed is a frequent fault of exports with few digits.
