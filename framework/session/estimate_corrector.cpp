@@ -38,7 +38,8 @@ class EstimateCorrector::Search {
       if (!shape.vertices.empty()) shapes_.push_back(std::move(shape));
     }
     start_sigma_ = std::hypot(owner.params_.start_height_sigma_m, request.start_sigma);
-    has_start_ = owner.params_.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
+    // As in EstimationObjective: only what lies as it was made shows its thickness.
+    has_start_ = owner.params_.start_height_sigma_m > 0.0 && !request.start->isZero(0.0) && !owner.task_.start;
     start_height_ = lowest_layer(*owner.task_.garment, *request.start).height;
     bias_sigma_ = std::max(request.start_height_sigma, 1e-9);
   }

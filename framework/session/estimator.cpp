@@ -69,7 +69,8 @@ class EstimationObjective final : public Objective {
     information_ =
         std::min(n, params.effective_coordinates * shapes / (1.0 + (shapes - 1.0) * params.shape_correlation));
     noise_share_ = information_ / n;
-    has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0);
+    // What an earlier fold left lies in folds, whose height is not that of the thickness.
+    has_start_height_ = params.start_height_sigma_m > 0.0 && !request.start->isZero(0.0) && !task.start;
     if (has_start_height_) {
       start_height_ = lowest_layer(*task.garment, *request.start).height;
       start_height_sigma_ = std::hypot(params.start_height_sigma_m, request.start_sigma, request.start_height_sigma);

@@ -99,7 +99,8 @@ struct EstimatorParams {
       "posterior: weight, in measurements, of the prior that sigma is right, against the residuals; 1e9: trust sigma.");
     v("start_height_sigma_m", start_height_sigma_m, range(0, 1, "m"),
       "posterior: standard deviation of the start shape's height from that of flat cloth, besides the declared errors "
-      "of the observation. The height tells the thickness. 0: do not use it.");
+      "of the observation. The height tells the thickness, but not of a cloth that starts as a fold left it. 0: do not "
+      "use it.");
     v("difference_step", difference_step, range(1e-6, 0.5),
       "posterior: step of the finite differences for the precision.");
     v("deviation_scale", deviation_scale, range(1e-3, 1e3),

@@ -69,6 +69,13 @@ TEST_F(Start, IsEstimatedToo) {
   EXPECT_LT(result.estimates.back().knowledge.width.mean(), 1.0);
 }
 
+TEST_F(Start, TheHeightOfFoldsIsNotTakenForTheThickness) {
+  const auto file = first_fold();
+  const SessionResult result = run(with(second(file), kEstimate));
+  const MaterialKnowledge& last = result.estimates.back().knowledge;
+  EXPECT_NEAR(last.centre(3), 0.3, last.width(3) + 0.05);
+}
+
 TEST_F(Start, StepsOfOneSessionAreThoseOfSessionsOneByOne) {
   const auto file = first_fold();
   const SessionResult second_alone = run(second(file));
