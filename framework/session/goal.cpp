@@ -5,6 +5,7 @@
 #include "loader/where.hpp"
 #include "meshes/import/mesh_file.hpp"
 #include "meshes/import/triangulate.hpp"
+#include "meshes/import/units.hpp"
 #include "session/placed_goal.hpp"
 #include "simulation/fold.hpp"
 #include "simulation/hand_limits.hpp"
@@ -37,7 +38,10 @@ std::shared_ptr<const GoalSurface> read_surface(const GoalParams& params, const 
   } else {
     Findings findings;
     const MeshFile file = read_mesh_file(params.mesh, findings);
-    const Mesh mesh = to_mesh(triangulate_file(file.polygons, params.mesh.string(), findings));
+    ImportMesh triangles = triangulate_file(file.polygons, params.mesh.string(), findings);
+    // A goal lies where it is wanted: metres, z up, but for glTF, which is y up by its definition.
+    to_metres_z_up(triangles, {file.frame.units.value_or("m"), file.frame.up.value_or("z"), "a goal"}, findings);
+    const Mesh mesh = to_mesh(triangles);
     positions = mesh.positions;
     faces = mesh.faces;
   }
@@ -120,6 +124,10 @@ SessionGoal read_goal(const GoalParams& params, const std::string& loss, const C
   if (!params.flat.move_m.empty()) given.push_back("goal.flat");
   if (!params.edge.vertices.empty()) given.push_back("goal.edge");
   if (!params.controls.is_null()) given.push_back("goal.controls");
+  const GoalParams::Mask unset;
+  if (params.mask.file.empty() &&
+      (params.mask.metres_per_pixel != unset.metres_per_pixel || params.mask.origin_m != unset.origin_m))
+    place(origin, "goal.mask").fail("has no file: goal.mask.file names the PNG");
   if (given.empty()) return goal;
   const ConfigNode node = place(origin, given.back() == "goal.mask" ? "goal.mask.file" : given.back());
   if (given.size() > 1) {

@@ -219,6 +219,24 @@ TEST_F(GoalWithoutCorrespondence, ASimulatedGoalKeepsItsVertices) {
   EXPECT_EQ(result.surface->kind(), GoalKind::silhouette);
 }
 
+TEST_F(GoalWithoutCorrespondence, GltfHasItsUpAxisAlongY) {
+  const std::filesystem::path file = folder_.write(
+      "goal.gltf",
+      R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0,"translation":[0,1,0]}],)"
+      R"("meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1}]}],"buffers":[{"byteLength":60,"uri":)"
+      R"("data:application/octet-stream;base64,AAAAAAAAAAAAAAAAmpkZPwAAAAAAAAAAmpkZPwAAAACamRm/AAAAAAAAAACamRm/)"
+      R"(AAABAAIAAAACAAMA"}],"bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":48},{"buffer":0,"byteOffset":48,)"
+      R"("byteLength":12}],"accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3","min":[0,0,-0.6],)"
+      R"("max":[0.6,0,0]},{"bufferView":1,"componentType":5123,"count":6,"type":"SCALAR"}]})");
+  try {
+    const SessionResult result = folded({"goal.mesh=" + file.string(), "planning.loss=chamfer", "planning.iterations=0",
+                                         "planning.replan_iterations=0"});
+    EXPECT_NEAR((result.surface->positions().col(2).array() - 1.0).abs().maxCoeff(), 0.0, 1e-6);
+  } catch (const ConfigError& error) {
+    EXPECT_THAT(error.what(), testing::HasSubstr("this build of weft reads OBJ only"));
+  }
+}
+
 TEST_F(GoalWithoutCorrespondence, ALossThatCannotCompareIsRefused) {
   const std::string mesh = this->mesh();
   EXPECT_THAT([&] { folded({mesh}); },
@@ -228,6 +246,8 @@ TEST_F(GoalWithoutCorrespondence, ALossThatCannotCompareIsRefused) {
         folded({"goal.mask.file=" + folder_.write("mask.png", "").string(), "planning.loss=chamfer"});
       },
       testing::ThrowsMessage<ConfigError>(testing::HasSubstr("use silhouette")));
+  EXPECT_THAT([&] { folded({"goal.mask.metres_per_pixel=0.002"}); },
+              testing::ThrowsMessage<ConfigError>(testing::HasSubstr("goal.mask.file names the PNG")));
   EXPECT_THAT(
       [&] {
         folded({mesh, "planning.loss=chamfer", "planning.vertices=[1]"});
