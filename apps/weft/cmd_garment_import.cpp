@@ -230,7 +230,9 @@ int run_import(Context& context, ImportRequest request) {
     files.emplace_back("fabric.yaml");
   }
   say_findings(context, {garment.findings.begin() + static_cast<std::ptrdiff_t>(said), garment.findings.end()});
-  const std::string no_page = write_garment_page(folder / "import.html", page_of(garment, name, garment.findings));
+  GarmentPage page = page_of(garment, name, garment.findings);
+  page.head = garment_head(ConfigNode::load(folder / (name + ".yaml")), name, page.mesh_file);
+  const std::string no_page = write_garment_page(folder / "import.html", page);
   files.emplace_back("import.json");
   if (no_page.empty()) files.emplace_back("import.html");
   json["files"] = files;

@@ -25,16 +25,20 @@ struct ShownGarment {
   fs::path mesh_path;
   std::string mesh_file;  ///< as the YAML names it
   std::map<std::string, Index> vertices;
-  std::optional<ConfigNode> yaml = {};  ///< the whole file
+  std::string head;  ///< the YAML but for the vertices
 };
 
 ShownGarment read_shown(const fs::path& file) {
   if (file.extension() != ".yaml" && file.extension() != ".yml")
-    return {file.stem().string(), file, file.filename().string(), {}};
+    return {file.stem().string(),
+            file,
+            file.filename().string(),
+            {},
+            garment_head({}, file.stem().string(), file.filename().string())};
   const ConfigNode node = ConfigNode::load(file);
-  ShownGarment garment{file.stem().string(), node.at("mesh").as_path(), node.at("mesh").as_string(), {}};
-  garment.yaml = node;
+  ShownGarment garment{file.stem().string(), node.at("mesh").as_path(), node.at("mesh").as_string(), {}, {}};
   if (const auto name = node.find("name")) garment.name = name->as_string();
+  garment.head = garment_head(node, garment.name, garment.mesh_file);
   if (const auto named = node.find("vertices")) {
     for (const std::string& key : named->keys()) garment.vertices[key] = named->at(key).as_int();
   }
@@ -66,18 +70,15 @@ int run_show(const Context& context, const ShowRequest& request) {
                               .dump(2)
                        << '\n';
     } else {
-      ConfigNode yaml = ConfigNode::mapping(
-          {{"name", ConfigNode::scalar(garment.name)}, {"mesh", ConfigNode::scalar(garment.mesh_file)}});
-      for (const char* key : {"rest", "layers", "seams"})
-        if (garment.yaml && garment.yaml->has(key)) yaml = yaml.with(key, garment.yaml->at(key));
-      context.output() << yaml.with("vertices", ConfigNode::mapping(std::move(vertices))).to_yaml();
+      context.output() << garment.head
+                       << ConfigNode::mapping({{"vertices", ConfigNode::mapping(std::move(vertices))}}).to_yaml();
     }
     if (context.out.empty()) return 0;
   }
   const fs::path page = context.out.empty() ? fs::path(garment.name + ".html") : fs::path(context.out);
   if (page.has_parent_path()) make_writable_folder(page.parent_path());
-  const std::string why_not =
-      write_garment_page(page, {garment.name, garment.mesh_file, mesh.positions, mesh.faces, garment.vertices});
+  const std::string why_not = write_garment_page(
+      page, {garment.name, garment.mesh_file, mesh.positions, mesh.faces, garment.vertices, garment.head});
   if (!why_not.empty()) throw Error("no page can be written: " + why_not);
   if (request.named.empty()) context.say("to look at it and to name its vertices, open " + page.string());
   return 0;

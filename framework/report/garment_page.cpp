@@ -6,6 +6,13 @@
 
 namespace weft {
 
+std::string garment_head(const ConfigNode& garment, const std::string& name, const std::string& mesh_file) {
+  ConfigNode head = ConfigNode::mapping({{"name", ConfigNode::scalar(name)}, {"mesh", ConfigNode::scalar(mesh_file)}});
+  for (const char* key : {"rest", "layers", "seams"})
+    if (garment.is_mapping() && garment.has(key)) head = head.with(key, garment.at(key));
+  return head.to_yaml();
+}
+
 std::string garment_page(const std::string& page_template, const GarmentPage& garment) {
   PageData page;
   auto& json = page.json;
@@ -16,6 +23,7 @@ std::string garment_page(const std::string& page_template, const GarmentPage& ga
   data["file"] = garment.mesh_file;
   data["positions"] = page.shapes({garment.positions});
   data["named"] = garment.vertices;
+  data["head"] = garment.head;
   if (garment.positions_before.rows() > 0) {
     data["before"] = {{"vertices", garment.positions_before.rows()},
                       {"faces", page.faces(garment.faces_before)},

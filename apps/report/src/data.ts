@@ -161,6 +161,7 @@ export interface GarmentMesh {
   file: string;
   positions: ArrayRef;
   named: Record<string, number>;
+  head: string;  // its YAML but for the vertices
   /** Of an import: the triangles of the file, and what was found and done. */
   before?: { vertices: number; faces: ArrayRef; positions: ArrayRef };
   findings?: Finding[];

@@ -36,7 +36,7 @@ export function garmentPage(page: PageData): HTMLElement {
     if (chosen >= 0) what.textContent = `Vertex ${chosen} (OBJ ${chosen + 1}) at ${metres(chosen)} m.${name.value && !isName(name.value) ? ' A name has letters, digits and _, and begins with no digit.' : ''}`;
     list.replaceChildren(...[...named].map(([text, v]) => h('tr', { title: `${metres(v)} m` }, h('td', {}, text), h('td', {}, String(v)),
       h('td', {}, h('button', { 'aria-label': `Remove the name ${text}`, onclick: () => { named.delete(text); refresh(); } }, 'Remove')))));
-    yaml.textContent = `name: ${garment.name}\nmesh: ${mesh.file}\n${named.size ? 'vertices:\n' : ''}${[...named].sort().map(([text, v]) => `  ${text}: ${v}\n`).join('')}`;
+    yaml.textContent = `${mesh.head}${named.size ? 'vertices:\n' : ''}${[...named].sort().map(([text, v]) => `  ${text}: ${v}\n`).join('')}`;
   };
   const give = () => {
     if (add.disabled) return;

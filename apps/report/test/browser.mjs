@@ -499,7 +499,12 @@ async function garmentPage() {
   assert.match(await text(page, '#chosen'), new RegExp(`^Vertex ${vertex} `));
   assert.deepEqual(page.problems, []);
   await page.close();
-  say('garment page: findings with their places, names by clicks');
+  const shirt = path.join(folder, 'shirt.html');
+  run(weft, 'garment', 'show', `${sources}/configs/garments/tshirt_two_layers.yaml`, '--quiet', '--out', shirt);
+  const layered = await open(shirt);
+  assert.match(await text(layered, '#yaml'), /^name: tshirt_two_layers\nmesh: tshirt_two_layers.obj\nrest:\n {2}from: mesh\nlayers: sides\nvertices:\n/);
+  await layered.close();
+  say('garment page: findings with their places, names by clicks, the YAML whole');
 }
 
 async function exports() {
