@@ -37,7 +37,8 @@ int make_pages(const Context& context, const ReproduceCall& call) {
   if (!fs::is_directory(folder)) throw ConfigError("--pages " + folder.string() + ": there is no such folder");
   const auto stale = stale_pages(folder);
   // As docs/measurements and configs/models lie in a repository.
-  const auto others = other_models(folder, fs::absolute(folder).lexically_normal() / "../../configs/models");
+  const auto others =
+      other_models(folder, (fs::absolute(folder).lexically_normal() / "../../configs/models").lexically_normal());
   for (const auto& page : stale) {
     if (call.check) {
       std::fprintf(stderr, "%s: differs from its measurement; weft reproduce --pages makes it\n", page.file.c_str());
@@ -47,7 +48,8 @@ int make_pages(const Context& context, const ReproduceCall& call) {
     }
   }
   for (const auto& line : others) std::fprintf(stderr, "%s%s\n", call.check ? "" : "warning: ", line.c_str());
-  if (stale.empty()) context.say("everything is as the measurements of " + folder.string() + " have it");
+  if (stale.empty() && others.empty())
+    context.say("everything is as the measurements of " + folder.string() + " have it");
   return call.check && (!stale.empty() || !others.empty()) ? 1 : 0;
 }
 

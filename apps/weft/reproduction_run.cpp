@@ -160,7 +160,14 @@ ReproductionRun::End ReproductionRun::run_command(const ReproductionCommand& com
   if (!options_.figures.empty() && has_figures(words)) {
     add(words, {"--figures", listed(options_.figures, ",")});
   }
+  const char* result = result_of(words);
+  const std::string before = result ? text_of_file(command.folder / result) : std::string();
   const End end = run_words(words, label, log);
+  // Pictures of earlier results do not stand beside new ones.
+  if (options_.figures.empty() && has_figures(words) && result && text_of_file(command.folder / result) != before) {
+    std::error_code none;
+    fs::remove_all(command.folder / "figures", none);
+  }
   return end == End::failed && has_results(command, begun) ? End::done : end;
 }
 

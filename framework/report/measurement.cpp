@@ -223,8 +223,15 @@ Measurements read_measurements(const fs::path& folder) {
   Measurements all;
   for (const auto& file : files_in(folder, ".json")) {
     const auto json = parse_json_if_valid(whole_text(file));
-    if (!json.is_object() || json.value("schema", ordered_json()) != kMeasurementSchema) continue;
+    if (json.is_discarded()) throw ConfigError(file.string() + ": is damaged: it is no JSON");
     const std::string name = file.stem().string();
+    const auto schema = json.is_object() ? json.value("schema", ordered_json()) : ordered_json();
+    if (schema != kMeasurementSchema) {
+      // Another file may lie here, but not in the place of a measurement.
+      const bool is_old = schema.is_string() && schema.get<std::string>().starts_with("weft measurement");
+      if (!is_old && !fs::exists(folder / (name + ".md"))) continue;
+      throw ConfigError(file.string() + ": schema = " + schema.dump() + ", must be \"" + kMeasurementSchema + '"');
+    }
     if (json.value("name", ordered_json()) != name)
       throw ConfigError(file.string() + ": is the measurement " + json.value("name", ordered_json()).dump() +
                         ", and must have its name");

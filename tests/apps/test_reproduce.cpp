@@ -105,6 +105,18 @@ TEST(Reproduce, TheSmallestPartOfQuickGoesOnAfterBeingStoppedAndKilled) {
   EXPECT_EQ(json::parse(text_of(file)), measured);
   EXPECT_EQ(json::parse(again.output)[0], measured);
 
+  // A picture of these results stays while they do, and goes with them.
+  const fs::path results = out / kPart / "held_out",
+                 picture = results / "figures/ablation-first_plan_predicted_error_mm.svg";
+  fs::create_directories(picture.parent_path());
+  std::ofstream(picture) << "<svg/>";
+  ASSERT_EQ(weft_command(command).code, 0);
+  EXPECT_EQ(json::parse(text_of(file))["figures"].size(), 1u);
+  std::ofstream(results / "ablation.json") << "{}";
+  ASSERT_EQ(weft_command(command).code, 0);
+  EXPECT_FALSE(fs::exists(picture));
+  EXPECT_EQ(json::parse(text_of(file))["figures"].size(), 0u);
+
   // The printed command alone gives the same rows.
   std::string printed = weft_command(std::string("reproduce ") + kPart + " --quick --dry-run").output;
   EXPECT_THAT(printed, StartsWith("# about "));
@@ -206,7 +218,21 @@ TEST(Reproduce, PagesAreMadeAndChecked) {
   ASSERT_EQ(weft_command(pages).code, 0);
   checked = weft_command(pages + " --check");
   EXPECT_EQ(checked.code, 1);
-  EXPECT_THAT(checked.output, HasSubstr("small.json: was measured with old.h5 (sha256 aaaaaaaaaaaa)"));
+  EXPECT_THAT(checked.output, AllOf(HasSubstr("small.json: was measured with old.h5 (sha256 aaaaaaaaaaaa)"),
+                                    Not(HasSubstr("everything is as"))));
+
+  // A damaged measurement is named, also without a page.
+  const std::string whole = measured.dump();
+  std::ofstream(docs / "measurements/other.json") << whole.substr(0, whole.size() / 2);
+  checked = weft_command(pages + " --check");
+  EXPECT_EQ(checked.code, 2);
+  EXPECT_THAT(checked.output, HasSubstr("other.json: is damaged"));
+  fs::remove(docs / "measurements/other.json");
+  measured["schema"] = "weft measurement 9";
+  std::ofstream(docs / "measurements/small.json") << measured.dump();
+  checked = weft_command(pages + " --check");
+  EXPECT_EQ(checked.code, 2);
+  EXPECT_THAT(checked.output, HasSubstr("must be \"weft measurement 1\""));
 }
 
 }  // namespace
