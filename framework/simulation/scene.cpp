@@ -298,7 +298,7 @@ SceneRun read_scene(const ConfigNode& config) {
   run.scene.gravity = vec3_of(params.gravity_m_per_s2);
   run.scene.ground_height = read_ground(params.ground);
   run.obstacles = params.obstacles;
-  run.scene.obstacles = read_obstacles(params.obstacles);
+  run.scene.obstacles = read_obstacles(params.obstacles, run.scene.ground_height);
   if (!params.pins.empty()) run.scene.pins = vertices_in(config.at("pins"), *run.garment);
   run.scene.initial_velocity = vec3_of(params.initial_velocity_m_per_s);
   if (const ConfigNode& grasps = params.grasps; !grasps.is_null()) {

@@ -201,11 +201,20 @@ std::optional<double> read_ground(const ConfigNode& node) {
   return keys.height_m;
 }
 
-std::vector<Obstacle> read_obstacles(const ConfigNode& node) {
+std::vector<Obstacle> read_obstacles(const ConfigNode& node, std::optional<double> ground) {
   std::vector<Obstacle> obstacles;
   if (node.is_null()) return obstacles;
   if (!node.is_sequence()) must_be(node, "a list of obstacles");
-  for (std::size_t k = 0; k < node.size(); ++k) obstacles.push_back(read_obstacle(node[k]));
+  for (std::size_t k = 0; k < node.size(); ++k) {
+    obstacles.push_back(read_obstacle(node[k]));
+    const auto table = node[k].find("table");
+    if (!table || !ground) continue;
+    // Else the cloth would lie on the ground, with its friction.
+    const double top = obstacles.back().centre.z() + obstacles.back().half_size.z();
+    if (top < *ground + 1e-6)
+      table->fail("has its top at " + ConfigNode::number(top).as_string() + " m, must be above the ground at " +
+                  ConfigNode::number(*ground).as_string() + " m: set ground: none, or its height_m lower");
+  }
   return obstacles;
 }
 

@@ -12,8 +12,8 @@ namespace weft {
 /// `ground`: null (at height 0), none, or {height_m}. @return m; nullopt: none. @throws ConfigError with file, line, key.
 std::optional<double> read_ground(const ConfigNode& node);
 /// `obstacles`: null or a list, each {box: ...}, {cylinder: ...}, {half_space: ...} or {table: ...}.
-/// @throws ConfigError with file, line and key.
-std::vector<Obstacle> read_obstacles(const ConfigNode& node);
+/// @param ground m; a table must be above it. @throws ConfigError with file, line and key.
+std::vector<Obstacle> read_obstacles(const ConfigNode& node, std::optional<double> ground = {});
 
 /// The keys of `ground`: "height_m".
 std::vector<ParamInfo> describe_ground();

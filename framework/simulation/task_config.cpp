@@ -104,7 +104,7 @@ Task make_task(const TaskParams& params, const ConfigNode& origin, Host& host,
   require_shape("task: gravity", params.scene.gravity_m_per_s2.size(), 3);
   task.scene.gravity = Eigen::Map<const Eigen::Vector3d>(params.scene.gravity_m_per_s2.data());
   task.scene.ground_height = read_ground(params.scene.ground);
-  task.scene.obstacles = read_obstacles(params.scene.obstacles);
+  task.scene.obstacles = read_obstacles(params.scene.obstacles, task.scene.ground_height);
 
   task.start = std::move(start);
   if (!task.start && !params.start.session.empty())

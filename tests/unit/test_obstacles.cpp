@@ -15,6 +15,7 @@ namespace weft {
 namespace {
 
 using testing::HasSubstr;
+using testing::ThrowsMessage;
 
 std::vector<Obstacle> three_kinds() {
   Obstacle half_space, box, cylinder;
@@ -204,6 +205,9 @@ TEST(Obstacles, RefusalsNameFileLineKeyAndValue) {
   EXPECT_THAT(refused("- half_space: {point_m: [0, 0, 0], normal: [0, 0, 0]}"), HasSubstr("not all zero"));
   EXPECT_THAT(refused("- table: {size_m: [1, 1], friction: -0.1}"), HasSubstr("friction = -0.1"));
   EXPECT_THAT(refused("- table: {size_m: [1, 1], thicknes_m: 0.1}"), HasSubstr("nearest: thickness_m"));
+  EXPECT_THAT([] { read_obstacles(yaml("- table: {size_m: [1, 1]}"), 0.0); },
+              ThrowsMessage<ConfigError>(HasSubstr("has its top at 0 m, must be above the ground at 0 m")));
+  EXPECT_NO_THROW(read_obstacles(yaml("- table: {size_m: [1, 1], top_m: 0.1}"), 0.0));
 }
 
 TEST(Obstacles, ASceneRepeatsItself) {
