@@ -247,14 +247,15 @@ class EstimateCorrector::Search {
 
   PredictionCase make_case(const MaterialProperties& q) const {
     PredictionCase one{
-        .shape = std::make_shared<const Positions>(flat(q)), .previous = nullptr, .state = request_.state};
+        .shape = std::make_shared<const Positions>(start_at(q)), .previous = nullptr, .state = request_.state};
     one.controls = request_.controls;
     one.knowledge = MaterialKnowledge::certain(q);
     for (const auto& shape : shapes_) one.segments.push_back(shape.segment + 1);
     return one;
   }
-  /// The start shape moves with the thickness.
-  Positions flat(const MaterialProperties& q) const {
+  /// A garment that lies as it was made moves with the thickness.
+  Positions start_at(const MaterialProperties& q) const {
+    if (owner_.task_.start) return *request_.start;
     if (!owner_.task_.scene.obstacles.empty())
       return start_positions(*owner_.task_.garment, owner_.task_.scene, thickness(q(kThickness)));
     const double ground = owner_.task_.scene.ground_height.value_or(0.0);
