@@ -56,11 +56,9 @@ void add_back(GeneratedMesh& result, const Outline& outline, MeshSize size) {
     const int back = sewn.back[index];
     if (back >= 0 && back != index) result.vertices["back_" + name] = back;
   }
-  MeshQuality& q = result.quality;
-  q.min_angle_deg = std::min(q.min_angle_deg, below.quality.min_angle_deg);
-  q.max_angle_deg = std::max(q.max_angle_deg, below.quality.max_angle_deg);
-  q.edge_min_m = std::min(q.edge_min_m, below.quality.edge_min_m);
-  q.edge_max_m = std::max(q.edge_max_m, below.quality.edge_max_m);
+  const double area = result.quality.area_m2 + below.quality.area_m2;  // the back's faces count as negative below
+  result.quality = measure_mesh(sewn.mesh.positions.leftCols<2>(), sewn.mesh.faces);
+  result.quality.area_m2 = area;
   result.mesh = std::move(sewn.mesh);
   make_garment(result.mesh, "generated", result.vertices, sewn.form);  // checks it as any input
 }

@@ -301,8 +301,8 @@ TEST(Program, MakesGarmentsOfTwoLayers) {
   ASSERT_EQ(run.code, 0) << run.output;
   const auto summary = nlohmann::json::parse(text_of(folder / "out/summary.json"));
   EXPECT_EQ(summary.at("intersections"), 0);
-  EXPECT_GT(summary.at("max_z_m"), 0.0036) << "the front lies on the back";
-  EXPECT_LT(summary.at("max_z_m"), 0.0056) << "and bulges where vertices of the back lie near a seam";
+  // The front lies on the back, at 4 mm. Where a vertex of the back lies under faces that rise from a seam, it bulges by one more.
+  EXPECT_NEAR(summary.at("max_z_m"), 0.0051, 4e-4);
   // The saved scene gives the same bits.
   const Outcome again = weft_command("simulate '" + out + "/config.yaml' --out '" + out + "/again'");
   ASSERT_EQ(again.code, 0) << again.output;

@@ -5,6 +5,7 @@
 #include "session/replay.hpp"
 #include "session/session_file.hpp"
 #include "session/towel_session.hpp"
+#include "unit/gltf_sheet.hpp"
 #include "weft/hdf5_file.hpp"
 #include "weft/random.hpp"
 
@@ -220,14 +221,7 @@ TEST_F(GoalWithoutCorrespondence, ASimulatedGoalKeepsItsVertices) {
 }
 
 TEST_F(GoalWithoutCorrespondence, GltfHasItsUpAxisAlongY) {
-  const std::filesystem::path file = folder_.write(
-      "goal.gltf",
-      R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0,"translation":[0,1,0]}],)"
-      R"("meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1}]}],"buffers":[{"byteLength":60,"uri":)"
-      R"("data:application/octet-stream;base64,AAAAAAAAAAAAAAAAmpkZPwAAAAAAAAAAmpkZPwAAAACamRm/AAAAAAAAAACamRm/)"
-      R"(AAABAAIAAAACAAMA"}],"bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":48},{"buffer":0,"byteOffset":48,)"
-      R"("byteLength":12}],"accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3","min":[0,0,-0.6],)"
-      R"("max":[0.6,0,0]},{"bufferView":1,"componentType":5123,"count":6,"type":"SCALAR"}]})");
+  const std::filesystem::path file = folder_.write("goal.gltf", test::kGltfSheet);
   try {
     const SessionResult result = folded({"goal.mesh=" + file.string(), "planning.loss=chamfer", "planning.iterations=0",
                                          "planning.replan_iterations=0"});

@@ -3,6 +3,7 @@
 #include <numbers>
 #include <sstream>
 
+#include "gltf_sheet.hpp"
 #include "meshes/import/garment_files.hpp"
 #include "meshes/import/import.hpp"
 #include "meshes/import/pieces.hpp"
@@ -597,15 +598,7 @@ TEST(Import, OtherFormatsNeedAssimp) {
     const auto quad = import_text(ply, {}, "mesh.ply");
     EXPECT_EQ(quad.mesh.faces.rows(), 2);
     EXPECT_NEAR(area_of(quad), 0.36, 1e-6);
-    // A node moves the mesh up by a metre; glTF is in metres with y up.
-    const auto scene = import_text(
-        R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0,"translation":[0,1,0]}],)"
-        R"("meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1}]}],"buffers":[{"byteLength":60,"uri":)"
-        R"("data:application/octet-stream;base64,AAAAAAAAAAAAAAAAmpkZPwAAAAAAAAAAmpkZPwAAAACamRm/AAAAAAAAAACamRm/)"
-        R"(AAABAAIAAAACAAMA"}],"bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":48},{"buffer":0,"byteOffset":48,)"
-        R"("byteLength":12}],"accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3","min":[0,0,-0.6],)"
-        R"("max":[0.6,0,0]},{"bufferView":1,"componentType":5123,"count":6,"type":"SCALAR"}]})",
-        {}, "mesh.gltf");
+    const auto scene = import_text(test::kGltfSheet, {}, "mesh.gltf");
     EXPECT_THAT(found(scene, "units"), HasSubstr("metres (as glTF is defined)"));
     EXPECT_THAT(found(scene, "pieces"), HasSubstr("around (0.30, 0.30, 1.00)"));
     EXPECT_NEAR(area_of(scene), 0.36, 1e-6);

@@ -161,7 +161,8 @@ export interface GarmentMesh {
   file: string;
   positions: ArrayRef;
   named: Record<string, number>;
-  head: string;  // its YAML but for the vertices
+  /** The garment's YAML but for its vertices. */
+  head: string;
   /** Of an import: the triangles of the file, and what was found and done. */
   before?: { vertices: number; faces: ArrayRef; positions: ArrayRef };
   findings?: Finding[];

@@ -38,8 +38,8 @@ void near_pairs(const ImportMesh& mesh, double distance, const std::vector<int>&
 bool covers(const ImportMesh& mesh, int first, int first_corner, int second, int second_corner) {
   constexpr double kOnePlane = 0.9986;  // cosine of 3 degrees between the planes
   const auto corner = [&](int f, int k) {
-    const auto& face = mesh.faces[static_cast<std::size_t>(f)];
-    const auto at = [&](int i) { return mesh.at(face[static_cast<std::size_t>((k + i) % 3)]); };
+    const auto& face = mesh.faces[f];
+    const auto at = [&](int i) { return mesh.at(face[(k + i) % 3]); };
     return std::array<Vec3, 2>{(at(1) - at(0)).normalized(), (at(2) - at(0)).normalized()};
   };
   const Vec3 normal = mesh.area_vector(first).normalized();
@@ -56,6 +56,26 @@ bool covers(const ImportMesh& mesh, int first, int first_corner, int second, int
   return within(other[0], own) || within(other[1], own) || within(own[0], other) || within(own[1], other) ||
          within(own_middle.normalized(), other) || within(other_middle.normalized(), own);
 }
+
+/// The corners of faces at each vertex.
+class Corners {
+ public:
+  explicit Corners(const ImportMesh& mesh) : mesh_(mesh), at_(mesh.positions.size()) {
+    for (std::size_t f = 0; f < mesh.faces.size(); ++f)
+      for (int k = 0; k < 3; ++k) at_[mesh.faces[f][k]].emplace_back(static_cast<int>(f), k);
+  }
+  /// Whether the cloth at one vertex covers that at another one in the same place.
+  bool cover(int u, int v) const {
+    for (const auto& [f, j] : at_[u])
+      for (const auto& [g, k] : at_[v])
+        if (covers(mesh_, f, j, g, k)) return true;
+    return false;
+  }
+
+ private:
+  const ImportMesh& mesh_;
+  std::vector<std::vector<std::pair<int, int>>> at_;  // [V] face and its corner
+};
 
 struct Boundary {
   std::vector<bool> open;               // [V]: in an edge of one face
@@ -79,6 +99,32 @@ Boundary boundary_of(const ImportMesh& mesh) {
   return boundary;
 }
 
+/// A seam that is almost closed is a frequent fault of exports with few digits.
+void say_almost_closed(const ImportMesh& mesh, double within, Findings& findings) {
+  const Boundary after = boundary_of(mesh);
+  std::vector<int> rim;
+  for (int v = 0; v < mesh.vertex_count(); ++v) {
+    if (after.open[static_cast<std::size_t>(v)]) rim.push_back(v);
+  }
+  const double gap = 0.05 * mesh.median_edge();
+  std::int64_t almost = 0;
+  double widest = 0.0;
+  std::vector<Place> almost_places;
+  near_pairs(mesh, gap, rim, [&](int u, int v) {
+    if (after.edges.count({u, v}) > 0 || (mesh.at(u) - mesh.at(v)).norm() <= within) return;
+    ++almost;
+    widest = std::max(widest, (mesh.at(u) - mesh.at(v)).norm());
+    if (almost_places.size() < kMostPlaces) almost_places.push_back(mesh.place(v));
+  });
+  if (almost > 0) {
+    findings.push_back({"weld", FindingKind::warning, almost,
+                        counted(almost, "pair") + " of boundary vertices are at most " + length_text(widest) +
+                            " apart but not joined (" + places_text(almost_places, almost) +
+                            "): an open seam? --weld DISTANCE joins them",
+                        almost_places});
+  }
+}
+
 }  // namespace
 
 void weld(ImportMesh& mesh, double distance, Findings& findings) {
@@ -89,17 +135,7 @@ void weld(ImportMesh& mesh, double distance, Findings& findings) {
   std::vector<int> all(mesh.positions.size());
   std::iota(all.begin(), all.end(), 0);
 
-  std::vector<std::vector<std::pair<int, int>>> around(mesh.positions.size());  // faces and their corners there
-  for (std::size_t f = 0; f < mesh.faces.size(); ++f)
-    for (std::size_t k = 0; k < 3; ++k)
-      around[static_cast<std::size_t>(mesh.faces[f][k])].emplace_back(static_cast<int>(f), static_cast<int>(k));
-  const auto lies_over = [&](int u, int v) {
-    for (const auto& [f, j] : around[static_cast<std::size_t>(u)])
-      for (const auto& [g, k] : around[static_cast<std::size_t>(v)])
-        if (covers(mesh, f, j, g, k)) return true;
-    return false;
-  };
-
+  const Corners corners(mesh);
   std::vector<std::pair<int, int>> joined;
   std::set<std::pair<int, int>> layers;  // pieces whose interiors coincide somewhere
   std::vector<Place> layer_places, over_places;
@@ -109,7 +145,7 @@ void weld(ImportMesh& mesh, double distance, Findings& findings) {
       joined.emplace_back(u, v);
     } else if (open(u) && open(v)) {
       // Front and back at an opening. (A repeated face of loose triangles is joined by its neighbours.)
-      if (lies_over(u, v)) {
+      if (corners.cover(u, v)) {
         ++over;
         if (over_places.size() < kMostPlaces) over_places.push_back(mesh.place(v));
       } else {
@@ -163,30 +199,7 @@ void weld(ImportMesh& mesh, double distance, Findings& findings) {
                             places_text(over_places, over) + ")",
                         over_places});
   }
-
-  // A seam that is almost closed is a frequent fault of exports with few digits.
-  const Boundary after = boundary_of(mesh);
-  std::vector<int> rim;
-  for (int v = 0; v < mesh.vertex_count(); ++v) {
-    if (after.open[static_cast<std::size_t>(v)]) rim.push_back(v);
-  }
-  const double gap = 0.05 * mesh.median_edge();
-  std::int64_t almost = 0;
-  double widest = 0.0;
-  std::vector<Place> almost_places;
-  near_pairs(mesh, gap, rim, [&](int u, int v) {
-    if (after.edges.count({u, v}) > 0 || (mesh.at(u) - mesh.at(v)).norm() <= within) return;
-    ++almost;
-    widest = std::max(widest, (mesh.at(u) - mesh.at(v)).norm());
-    if (almost_places.size() < kMostPlaces) almost_places.push_back(mesh.place(v));
-  });
-  if (almost > 0) {
-    findings.push_back({"weld", FindingKind::warning, almost,
-                        counted(almost, "pair") + " of boundary vertices are at most " + length_text(widest) +
-                            " apart but not joined (" + places_text(almost_places, almost) +
-                            "): an open seam? --weld DISTANCE joins them",
-                        almost_places});
-  }
+  say_almost_closed(mesh, within, findings);
 }
 
 }  // namespace weft
