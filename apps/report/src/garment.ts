@@ -75,7 +75,7 @@ export function garmentPage(page: PageData): HTMLElement {
       section('after', mesh.before ? 'The garment' : 'Garment', null, viewer.element,
         h('div', { class: 'transport' }, h('label', { class: 'check' }, edges, 'mesh edges'))),
       section('names', 'Names of vertices', null, what, h('div', { class: 'cases' }, name, add),
-        h('table', { class: 'names' }, h('thead', {}, h('tr', {}, h('th', {}, 'Name'), h('th', {}, 'Vertex'), h('th', {}))), list),
+        h('div', { class: 'scroll' }, h('table', { class: 'names' }, h('thead', {}, h('tr', {}, h('th', {}, 'Name'), h('th', {}, 'Vertex'), h('th', {}))), list)),
         h('p', { class: 'note' }, `The garment's YAML with these names, for the file beside ${mesh.file}:`), yaml,
         h('button', { id: 'copy', onclick: () => copy(yaml) }, 'Copy'))),
     findings.length ? section('findings', 'What was found and done', 'Show marks the places in the garment above.',
